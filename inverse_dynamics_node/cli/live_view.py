@@ -28,13 +28,13 @@ _COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.SATURATED: 'r
 class LiveView:
     """A screen that is updated in place; the terminal is restored when the context ends."""
 
-    def __init__(self, console: Any = None) -> None:
+    def __init__(self) -> None:
         from rich.live import Live
 
         # Without COLUMNS and LINES, which some shells export, the size follows the terminal.
         size = {'COLUMNS', 'LINES'}
         environment = {key: os.environ[key] for key in os.environ.keys() - size}
-        self._console = console or colour_console(environment=environment)
+        self._console = colour_console(environment=environment)
         self._live = Live(console=self._console, screen=True, auto_refresh=False)
         self.last_words = ''
         """Text to print when the screen has been closed."""
@@ -150,17 +150,16 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
         limits |= status.limits()
     rows = []
     for i, name in enumerate(robot.joint_names):
+        limit = limits[name]
         values = {
             'position': sample.positions[i],
             'measured': sample.measured[i],
             'modelled': sample.modelled[i],
             'residual': sample.measured[i] - sample.modelled[i],
             'command': sample.commands[i],
-            'limit': limits[name],
-            'fraction': abs(sample.commands[i]) / limits[name] if limits[name] else math.nan,
+            'limit': limit,
+            'fraction': abs(sample.commands[i]) / limit if 0.0 < limit < math.inf else math.nan,
         }
-        if not math.isfinite(limits[name]):
-            values['fraction'] = math.nan
         rows.append(
             {'name': name, 'is_prismatic': bool(robot.is_prismatic_joint[i])}
             | {key: _known(value) for key, value in values.items()}

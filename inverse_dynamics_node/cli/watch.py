@@ -283,10 +283,8 @@ def _signals_raise() -> Iterator[None]:
     def stop(number: int, _: Any) -> None:
         raise SystemExit(128 + number)
 
-    def interrupt(number: int, _: Any) -> None:
-        raise KeyboardInterrupt
-
-    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: stop, signal.SIGHUP: stop}
+    handlers: dict[int, Any] = {signal.SIGINT: signal.default_int_handler}
+    handlers |= dict.fromkeys((signal.SIGTERM, signal.SIGHUP), stop)
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield

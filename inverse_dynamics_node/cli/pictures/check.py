@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.sizing import PayloadCapacity, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...report.quantities import effort_unit, number
+from ...report.quantities import effort_unit
 from ...report.tables import shortened
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
@@ -138,8 +138,7 @@ def _in_words(workspace: Workspace, joint: int) -> str:
     peak = float(workspace.peaks[joint])
     if peak <= _NEGLIGIBLE * float(np.max(workspace.peaks)):
         peak = 0.0
-    of = f'of {number(limit)} {unit}' if np.isfinite(limit) else f'{unit}, no limit'
-    return f'{peak:.3g} {of}'
+    return style.peak_in_words(peak, limit, unit)
 
 
 def draw_arm(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 import math
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -27,7 +26,7 @@ MOST_IN_ONE = 10
 """With more joints than this, the efforts of each joint have their own row."""
 LEAST_FRACTION = 1e-3
 """Smallest scale of a joint: a fraction of its limit, or else of the largest effort."""
-MOST_LINES, LINE = 6, 0.19  # lines of the title, and the height of a line [inch]
+LINE = 0.19  # height of a line of text [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
 
@@ -36,9 +35,7 @@ def draw(
 ) -> None:
     """Draw a run with its events, and write the picture."""
     panels = [_errors, _efforts] + ([_contact] if timeline.expected else [])
-    lines = [part for line in title.splitlines() for part in _wrapped(line)]
-    if len(lines) > MOST_LINES:
-        lines = [*lines[: MOST_LINES - 1], '...']
+    lines = style.title_lines(*title.splitlines())
     count, columns = len(robot.joint_names), _columns(robot, history)
     heights = [2.2] * len(panels)
     rows = len(lines)
@@ -63,11 +60,6 @@ def draw(
     figure.savefig(path)
 
 
-def _wrapped(line: str) -> list[str]:
-    """Break a line of the title between words, never within numbers and names."""
-    return wrap(line, 110, break_long_words=False, break_on_hyphens=False)
-
-
 def _look(i: int) -> dict[str, Any]:
     """Return colour and line style of a joint."""
     return {
@@ -83,10 +75,9 @@ def _largest(history: History) -> Floats:
 
 
 def _label(robot: RobotModel, history: History, i: int) -> str:
-    limit, largest = robot.effort_limits[i], _largest(history)[i]
     unit = 'N' if robot.is_prismatic_joint[i] else 'N m'
-    of = f'of {limit:g} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
-    return f'{robot.joint_names[i]}: {largest:.3g} {of}'
+    words = style.peak_in_words(_largest(history)[i], robot.effort_limits[i], unit)
+    return f'{robot.joint_names[i]}: {words}'
 
 
 def _columns(robot: RobotModel, history: History) -> int:

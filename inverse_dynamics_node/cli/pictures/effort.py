@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.sizing import EffortRequirements
 from ...dynamics.trajectory import Trajectory
-from ...report.quantities import effort_unit, number
+from ...report.quantities import effort_unit
 from ...robot.model import RobotModel
 from . import style
 
@@ -90,9 +90,9 @@ def _draw_joint(
         axes.set_ylim(-1.0, 1.0)  # rounding errors only
         peak = 0.0
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
-    of = f'of {number(limit)} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
+    words = style.peak_in_words(peak, limit, unit)
     # The name has its own line, because it may be as wide as the panel.
-    axes.set_title(f'{name}\npeak {peak:.3g} {of}', fontsize=9, color=colour, pad=3)
+    axes.set_title(f'{name}\npeak {words}', fontsize=9, color=colour, pad=3)
     axes.tick_params(labelsize=8.5)
     axes.locator_params(axis='y', nbins=5)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...report import quantities
 from ...report.tables import all_shortened, wrapped
 from ...robot.model import Floats
 from ..output_files import new_file
@@ -32,6 +34,8 @@ WIDTH = 9.0
 DPI = 100
 _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
+_TITLE_LINES = 5
+"""Largest number of lines in the title; an ellipsis takes the place of further lines."""
 
 _HOW_TO_GET_PICTURES = (
     "To get pictures, run 'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a "
@@ -77,12 +81,24 @@ def styled_pyplot() -> Iterator[Any]:
             pyplot.close('all')
 
 
-def set_title(figure: Any, *paragraphs: str, most_lines: int = 5) -> None:
-    """Write the title of a figure; each paragraph begins a new line, and words are not split."""
+def title_lines(*paragraphs: str) -> list[str]:
+    """Return the lines of a title; each paragraph begins a new line, and words are not split."""
     lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
-    if len(lines) > most_lines:
-        lines = [*lines[:most_lines], '...']
-    figure.suptitle('\n'.join(lines), x=0.01, ha='left', fontsize=11)
+    return [*lines[:_TITLE_LINES], '...'] if len(lines) > _TITLE_LINES else lines
+
+
+def set_title(figure: Any, *paragraphs: str) -> None:
+    """Write the title of a figure."""
+    figure.suptitle('\n'.join(title_lines(*paragraphs)), x=0.01, ha='left', fontsize=11)
+
+
+def peak_in_words(peak: float, limit: float, unit: str) -> str:
+    """Write a peak effort and the limit of the joint."""
+    return (
+        f'{peak:.3g} of {quantities.number(limit)} {unit}'
+        if limit < math.inf
+        else f'{peak:.3g} {unit}, no limit'
+    )
 
 
 def runs_of(numbers: Sequence[int]) -> str:

@@ -43,9 +43,6 @@ class Series:
         self._times.append(time)
         self._rows.append(row)
 
-    def __len__(self) -> int:
-        return len(self._times)
-
     @property
     def times(self) -> Floats:
         """Times of all rows, shape (k,) [s]."""
@@ -86,12 +83,9 @@ class History:
         commands that were queued before ``begin``.
         """
         times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
-        if len(times) < 2:
+        if len(times) < 2 or times[-1] == times[0]:
             return 0.0
-        since = times - times.mean()
-        spread = float(since @ since)
-        count = np.arange(len(times)) - 0.5 * (len(times) - 1)
-        return float(since @ count) / spread if spread > 0.0 else 0.0
+        return float(np.polyfit(times - times[0], np.arange(len(times)), 1)[0])
 
     def largest_error(self, begin: float, end: float) -> Floats:
         """Return the largest position error of each joint between two times, shape (n,)."""

@@ -94,19 +94,27 @@ class View:
         ):
             table.add_column(f'{name:>{width}}', no_wrap=True)
         limits = self.robot.effort_limits
-        for i, (name, units) in enumerate(zip(self.robot.joint_names, self._units, strict=True)):
-            q, desired, effort = snapshot.q[i], snapshot.desired[i], snapshot.effort[i]
-            fraction = abs(effort) / limits[i] if limits[i] > 0.0 else 0.0
-            table.add_row(
-                name,
-                f'{q:8.4f} {units[0]:3}',
-                f'{desired:8.4f} {units[0]:3}',
-                f'{1000.0 * (desired - q):8.3f} {units[1]:4}',
-                bar(error_fraction(desired - q), 0.35, 0.65),
-                f'{effort:10.3f} {units[2]:3}',
-                bar(fraction, 0.7, 0.9),
-            )
+        for i, (name, *values, effort) in enumerate(self._cells(snapshot)):
+            error = error_fraction(snapshot.desired[i] - snapshot.q[i])
+            fraction = abs(snapshot.effort[i]) / limits[i] if limits[i] > 0.0 else 0.0
+            table.add_row(name, *values, bar(error, 0.35, 0.65), effort, bar(fraction, 0.7, 0.9))
         return Group(head, Text(snapshot.words, 'yellow'), table)
+
+    def _cells(self, snapshot: Snapshot) -> list[tuple[str, str, str, str, str]]:
+        """Return name, position, desired position, error and effort of each joint as text."""
+        joints = (self.robot.joint_names, self._units, snapshot.q, snapshot.desired)
+        return [
+            (
+                name,
+                f'{q:8.4f} {unit:3}',
+                f'{desired:8.4f} {unit:3}',
+                f'{1000.0 * (desired - q):8.3f} {small_unit:4}',
+                f'{effort:10.3f} {effort_unit:3}',
+            )
+            for name, (unit, small_unit, effort_unit), q, desired, effort in zip(
+                *joints, snapshot.effort, strict=True
+            )
+        ]
 
     def log(self, line: str) -> None:
         """Print a log line above the table; any thread may call this method."""
@@ -122,12 +130,8 @@ class View:
         print(f'\nt = {snapshot.time:.1f} s   {snapshot.rate:.1f} commands/s')
         wide = name_width(self.robot)
         print(f'{"joint":{wide}}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
-        for i, (name, units) in enumerate(zip(self.robot.joint_names, self._units, strict=True)):
-            q, desired, effort = snapshot.q[i], snapshot.desired[i], snapshot.effort[i]
-            print(
-                f'{name:{wide}}{q:11.4f} {units[0]:3}{desired:11.4f} {units[0]:3}'
-                f'{1000.0 * (desired - q):8.3f} {units[1]:4}{effort:10.3f} {units[2]:3}'
-            )
+        for name, position, desired, error, effort in self._cells(snapshot):
+            print(f'{name:{wide}}{position:>15}{desired:>15}{error}{effort}')
         sys.stdout.flush()
 
 

@@ -76,12 +76,12 @@ class MujocoRobot:
         unknown = sorted(set(held) - set(robot.joint_names))
         if unknown:
             raise SimulationError(unknown_name('joint', unknown[0], robot.joint_names))
-        free = [i for i, name in enumerate(robot.joint_names) if name not in held]
-        self.command_names = tuple(robot.joint_names[i] for i in free)
+        self._free = [i for i, name in enumerate(robot.joint_names) if name not in held]
+        self.command_names = tuple(robot.joint_names[i] for i in self._free)
         """Commanded joints, in the order of the commands."""
-        self._command_order = [self._order[i] for i in free]
+        self._command_order = [self._order[i] for i in self._free]
         self._held_order = [address[name] for name in held]
-        self._command_limits = robot.effort_limits[free]
+        self._command_limits = robot.effort_limits[self._free]
         moving = [address[name] for name in robot.body_names[1:]]
         self._coupling = np.zeros((len(moving), len(robot.joint_names)))
         self._coupling[moving, robot.joint_index[1:]] = robot.multiplier[1:]
@@ -118,8 +118,7 @@ class MujocoRobot:
         kp, kd = DRIVE_GAINS
         error, rate = q - self.positions(), qd - self._data.qvel[self._order]
         efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()
-        free = [self.robot.joint_names.index(name) for name in self.command_names]
-        self.command(efforts[free])
+        self.command(efforts[self._free])
 
     def advance(self, duration: float) -> None:
         """Advance the simulation by a duration [s]."""
