@@ -17,7 +17,7 @@ from ..robot.end_effector import last_link
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .console import waiting
-from .output_files import picture_path
+from .output_files import output_path, picture_path
 
 ROBOT, RESULT = 'robot and load', 'result'
 """Titles of two groups of options; most commands have both groups."""
@@ -158,6 +158,13 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
     """Return the file for the picture, or None with --no-picture."""
     return None if options.no_picture else options.picture or Path(default)
+
+
+def add_output(parser: CommandParser, option: str, help_text: str, metavar: str = 'FILE') -> None:
+    """Add an option for a file to write."""
+    parser.add_argument(
+        option, group=RESULT, type=output_path, metavar=metavar, help=f'file for {help_text}'
+    )
 
 
 def add_force(parser: CommandParser) -> None:

@@ -18,9 +18,9 @@ from ..report.tables import Table, warnings_about, WIDTH
 from ..robot.end_effector import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .arguments import CommandParser, RESULT
+from .arguments import CommandParser
 from .console import progress, say, show, show_warnings
-from .output_files import check_outputs, new_file, output_path
+from .output_files import check_outputs, new_file
 from .pictures.check import draw
 from .pictures.style import write_picture
 
@@ -40,6 +40,7 @@ exit code: 0 the description can be used; 1 it cannot be used; 2 invalid argumen
 warnings, and --strict was given."""
 
 _WARNED = 3
+_MOST_JOINTS = 8  # in the text of a pose
 
 
 def make_parser() -> CommandParser:
@@ -56,13 +57,7 @@ def make_parser() -> CommandParser:
     arguments.add_link(parser)
     arguments.add_gravity(parser)
     arguments.add_picture(parser)
-    parser.add_argument(
-        '--poses',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='CSV file for the worst pose of every joint',
-    )
+    arguments.add_output(parser, '--poses', 'the worst pose of every joint, as CSV')
     parser.add_argument(
         '--samples',
         type=_sample_count,
@@ -116,9 +111,7 @@ def _show(text: str, tables: Iterable[Table], warnings: Sequence[ModelWarning]) 
     say(text)
     print()
     show(*tables)
-    if warnings:
-        show_warnings(warnings)
-        print()
+    show_warnings(warnings)
 
 
 def _usable(warnings: Sequence[ModelWarning]) -> str:
@@ -204,11 +197,13 @@ def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
     return f'Payload left {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
 
 
-def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
+def pose_in_words(robot: RobotModel, pose: Floats) -> str:
     """List the joints that are not at zero; if there are many, only those farthest from zero."""
     units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
-    shown = [f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:most])]
+    shown = [
+        f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:_MOST_JOINTS])
+    ]
     if not shown:
         return 'all joints 0'
     rest = len(away) - len(shown)

@@ -18,14 +18,14 @@ from ..analysis.diagnosis import (
     Recording,
 )
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
-from ..errors import ConfigurationError, RecordingError
+from ..errors import RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
 from ..robot.limit_checks import position_warnings
 from . import arguments
-from .arguments import CommandParser, RESULT, ROBOT
+from .arguments import CommandParser, ROBOT
 from .console import say, show, show_warnings
-from .output_files import check_outputs, new_file, output_path
+from .output_files import check_outputs, new_file
 from .pictures.compare import draw
 from .pictures.style import try_to_draw
 from .recordings import measured_efforts, read_recording
@@ -83,19 +83,13 @@ def make_parser() -> CommandParser:
     parser.add_argument(
         '--coulomb-width',
         group=ROBOT,
-        type=float,
+        type=arguments.number('a speed above 0', lambda speed: 0.0 < speed < math.inf),
         metavar='SPEED',
         help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
         f'{FRICTION_WIDTH} if it cannot be fitted)',
     )
     arguments.add_node_parameters(parser)
-    parser.add_argument(
-        '--parameters',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='file for the fitted friction, as parameters of the node',
-    )
+    arguments.add_output(parser, '--parameters', 'the fitted friction, as parameters of the node')
     arguments.add_picture(parser, '<name of the recording>_compare.png')
     arguments.add_force(parser)
     arguments.add_strict(parser, 'there are warnings')
@@ -104,7 +98,7 @@ def make_parser() -> CommandParser:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    width = _friction_width(options)
+    width = options.coulomb_width
     picture = f'{options.recording.stem}_compare.png'
     check_outputs(
         [options.urdf, options.recording, *filter(None, [options.node_parameters])],
@@ -128,9 +122,7 @@ def run(options: argparse.Namespace) -> int:
         *position_warnings(robot, recording.positions, recording.joint_names),
         *map(diagnosis_warning, result.faults),
     ]
-    if warnings:
-        show_warnings(warnings)
-        print()
+    show_warnings(warnings)
     show(comparison_table(result, notes), friction_table(result))
     if options.parameters:
         write_parameters(result, robot.joint_names, options.parameters)
@@ -140,13 +132,6 @@ def run(options: argparse.Namespace) -> int:
     if path := try_to_draw(drawing, options, picture):
         print(f'picture: {path}')
     return _FOUND if options.strict and warnings else 0
-
-
-def _friction_width(options: argparse.Namespace) -> float | None:
-    width: float | None = options.coulomb_width
-    if width is not None and not (math.isfinite(width) and width > 0.0):
-        raise ConfigurationError(f'--coulomb-width is {width}, expected a speed above 0')
-    return width
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:

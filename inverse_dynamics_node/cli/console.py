@@ -34,7 +34,6 @@ _COLOURS = {
     Style.MARKED_ROW: 'bold red',
     Style.NOTE: 'dim',
     Style.WARNINGS: 'bold yellow',
-    Style.NO_WARNINGS: 'bold green',
     Style.HINT: 'cyan',
 }
 
@@ -52,12 +51,15 @@ def show(*tables: Table) -> None:
 
 
 def show_warnings(warnings: Sequence[ModelWarning]) -> None:
-    """Print warnings with their hints."""
+    """Print warnings with their hints and an empty line; without warnings, print nothing."""
     terminal = _terminal()
+    if not warnings:
+        return
     if terminal is None:
         print(warnings_as_text(warnings))
     else:
         _print_in_colour(terminal, warning_lines(warnings, min(WIDTH, terminal.width)))
+    print()
 
 
 def say(text: str) -> None:

@@ -25,9 +25,9 @@ from ..report.tables import Table
 from ..robot.limit_checks import position_warnings
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .arguments import CommandParser, RESULT
+from .arguments import CommandParser
 from .console import progress, say, show, show_warnings
-from .output_files import check_outputs, new_file, output_path
+from .output_files import check_outputs, new_file
 from .pictures.effort import draw
 from .pictures.style import try_to_draw
 
@@ -90,21 +90,18 @@ def make_parser() -> CommandParser:
         'trajectory (default: %(default)g)',
     )
     arguments.add_gravity(parser)
-    parser.add_argument(
+    arguments.add_output(
+        parser,
         '--csv',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='file for the efforts over time (default: <name of the trajectory>_efforts.csv)',
+        'the efforts over time (default: <name of the trajectory>_efforts.csv)',
     )
     arguments.add_picture(parser, '<name of the trajectory>_efforts.png')
-    parser.add_argument(
+    arguments.add_output(
+        parser,
         '--trajectory-out',
-        group=RESULT,
-        type=output_path,
-        metavar='YAML',
-        help='file for the trajectory with velocities, accelerations and efforts, in the format '
-        'of `ros2 topic pub`',
+        'the trajectory with velocities, accelerations and efforts, in the format of '
+        '`ros2 topic pub`',
+        'YAML',
     )
     arguments.add_force(parser)
     arguments.add_strict(parser, 'a limit of effort, speed or position is exceeded')
@@ -150,9 +147,7 @@ def run(options: argparse.Namespace) -> int:
         *position_warnings(robot, fine.positions, fine.joint_names),
         *_peak_warnings(fine, requirements),
     )
-    if warnings:
-        show_warnings(warnings)
-        print()
+    show_warnings(warnings)
 
     written = [table]
     with new_file(table) as temporary:

@@ -31,7 +31,7 @@ from ..robot.urdf.shapes import read_shapes
 from . import arguments
 from .arguments import CommandParser, RESULT
 from .console import progress, say, show, waiting
-from .output_files import check_outputs, new_file, output_path
+from .output_files import check_outputs, new_file
 from .pictures.excite import draw
 from .pictures.style import try_to_draw
 
@@ -58,6 +58,8 @@ _YAML_RATE = 20.0
 _SLOW = 0.2
 """Fraction of the speed limits at which the arm moves to the start pose."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
+_speed = arguments.number('a factor above 0 and up to 1', lambda value: 0.0 < value <= 1.0)
+_height = arguments.number("a height or 'none'", math.isfinite)
 
 
 def make_parser() -> CommandParser:
@@ -167,20 +169,15 @@ def _add_motion(parser: CommandParser) -> None:
 
 def _add_files(parser: CommandParser) -> None:
     """Add the options for the files to write."""
-    parser.add_argument(
-        '--csv',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='file for the motion as CSV (default: <name of the URDF>_excite.csv)',
+    arguments.add_output(
+        parser, '--csv', 'the motion as CSV (default: <name of the URDF>_excite.csv)'
     )
-    parser.add_argument(
+    arguments.add_output(
+        parser,
         '--trajectory-out',
-        group=RESULT,
-        type=output_path,
-        metavar='YAML',
-        help='file for the motion as JointTrajectory (default: <name of the URDF>_excite.yaml); '
-        'the way to the start pose goes to a file whose name ends with _start.yaml',
+        'the motion as JointTrajectory (default: <name of the URDF>_excite.yaml); the way to the '
+        'start pose goes to a file whose name ends with _start.yaml',
+        'YAML',
     )
     arguments.add_picture(parser, '<name of the URDF>_excite.png')
     arguments.add_force(parser)
@@ -284,19 +281,4 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def _floor(text: str) -> float:
-    if text == 'none':
-        return -math.inf
-    try:
-        height = float(text)
-    except ValueError:
-        height = math.nan
-    if not math.isfinite(height):
-        raise argparse.ArgumentTypeError(f"'{text}' is neither a height nor 'none'")
-    return height
-
-
-def _speed(text: str) -> float:
-    speed = _positive(text)
-    if speed > 1.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a factor above 0 and up to 1")
-    return speed
+    return -math.inf if text == 'none' else _height(text)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.result import calibrated_urdf, identified_parameters
-from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.signals import Recording
 from ..report.identification_report import (
     as_json,
@@ -23,11 +22,12 @@ from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments
-from .arguments import CommandParser, RESULT, ROBOT
+from .arguments import CommandParser, ROBOT
 from .console import progress, say, show, show_warnings
-from .output_files import check_outputs, new_file, output_path
+from .output_files import check_outputs, new_file
 from .pictures.identify import draw
 from .pictures.style import try_to_draw
+from .recordings import read_recording
 
 EPILOG = """\
 examples:
@@ -76,27 +76,11 @@ def make_parser() -> CommandParser:
         metavar='RUN',
         help='recording that is used to evaluate the result, not to fit it; may be repeated',
     )
-    parser.add_argument(
-        '--output',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='file for the calibrated URDF',
+    arguments.add_output(parser, '--output', 'the calibrated URDF')
+    arguments.add_output(
+        parser, '--parameters', 'friction, armature and offsets, as parameters of the node'
     )
-    parser.add_argument(
-        '--parameters',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='file for friction, armature and offsets, as parameters of the node',
-    )
-    parser.add_argument(
-        '--json',
-        group=RESULT,
-        type=output_path,
-        metavar='FILE',
-        help='file for the report as JSON',
-    )
+    arguments.add_output(parser, '--json', 'the report as JSON')
     parser.add_argument(
         '--fixed',
         group=ROBOT,
@@ -141,34 +125,27 @@ def run(options: argparse.Namespace) -> int:
     if options.payload is not None:
         mass, *com = options.payload
         payload = (options.link or last_link(robot), mass, com or [0.0, 0.0, 0.0])
-    runs, notes = _read(options.recordings, robot.joint_names, options.topic)
-    unseen, more_notes = _read(options.validate, robot.joint_names, options.topic)
+    found = [
+        read_recording(path, robot, options.topic)
+        for path in (*options.recordings, *options.validate)
+    ]
+    recordings = [recording for recording, _ in found]
+    notes = tuple(dict.fromkeys(note for _, notes in found for note in notes))
+    count = len(options.recordings)
+    runs, unseen = recordings[:count], recordings[count:]
     with progress('identifying') as report:
         result = identify_parameters(
             robot, runs, unseen, options.gravity, payload, options.fixed, options.currents, report
         )
     # The files come first, because the report may end early in a pipe such as `| head`.
     files = _write(result, source, options)
-    _show(result, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
+    _show(result, notes, recordings)
     print('\n'.join(files), end='\n' if files else '')
     names = ', '.join(path.name for path in options.recordings)
     drawing = partial(draw, result, f'{robot.name}: {names}')
     if path := try_to_draw(drawing, options, picture):
         print(f'picture: {path}')
     return _NOT_ACCEPTED if options.strict and not result.accepted else 0
-
-
-def _read(
-    paths: list[Path], joint_names: tuple[str, ...], topic: str | None
-) -> tuple[list[Recording], list[str]]:
-    recordings: list[Recording] = []
-    notes: list[str] = []
-    for path in paths:
-        with progress(f'reading {path.name}') as report:
-            recording, own_notes = read_measured_states(path, joint_names, topic, report)
-        recordings.append(recording)
-        notes += own_notes
-    return recordings, notes
 
 
 def _show(
@@ -186,9 +163,7 @@ def _show(
         ),
         *(ModelWarning(text, hint) for text, hint in result.warnings),
     ]
-    if warnings:
-        show_warnings(warnings)
-        print()
+    show_warnings(warnings)
     lines = (*summary_lines(result), *(f'{note}.' for note in notes))
     show(
         residual_table(result),

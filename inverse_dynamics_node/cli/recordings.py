@@ -19,14 +19,14 @@ from .console import progress
 
 
 def read_recording(
-    path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float]
+    path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float] | None = None
 ) -> tuple[Recording, tuple[str, ...]]:
     """Read a recording, scale the efforts of the joints, and return it with notes on the data."""
     with progress(f'reading {path.name}') as report:
         recording, notes = read_measured_states(
             path, robot.joint_names, topic, report, robot.mimic_names
         )
-    return scaled(recording, scale), notes
+    return scaled(recording, scale or {}), notes
 
 
 def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:

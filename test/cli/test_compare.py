@@ -394,7 +394,6 @@ def test_errors_are_one_line(short, here, how, words, capsys):
     ('arguments', 'words'),
     [
         (['--link', 'tool9'], "link 'tool9' does not exist"),
-        (['--coulomb-width', '0'], '--coulomb-width is 0.0, expected a speed above 0'),
         (['--payload', '-1'], 'mass is -1.0'),
         (['--topic', '/joint_states'], 'a CSV file has no topic'),
     ],
@@ -403,6 +402,12 @@ def test_invalid_settings_are_reported(short, here, arguments, words, capsys):
     write_csv(here / 'run.csv', short)
     assert compare('run.csv', '--no-picture', *arguments) == 1
     assert words in capsys.readouterr().err
+
+
+def test_a_friction_width_that_is_not_a_speed_is_refused(capsys):
+    with pytest.raises(SystemExit, match='2'):
+        compare('run.csv', '--coulomb-width', '0')
+    assert "argument --coulomb-width: '0' is not a speed above 0" in capsys.readouterr().err
 
 
 def test_the_node_accepts_the_parameters(recorded, here):

@@ -107,7 +107,7 @@ def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
         (['--fraction', '0'], 1, 'fraction is 0.0, expected a value above 0 and at most 1'),
         (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
         (['--floor', '5'], 1, 'or switch it off (--floor none)'),
-        (['--floor', 'deep'], 2, "'deep' is neither a height nor 'none'"),
+        (['--floor', 'deep'], 2, "'deep' is not a height or 'none'"),
         (['--box', '0', '0', '0', '1', '1', '0'], 1, 'three lengths above 0'),
     ],
 )
