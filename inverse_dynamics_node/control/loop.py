@@ -84,30 +84,30 @@ class Controller:
         self.settings = settings or Settings()
         self.apply(self.settings)
 
-    def apply(self, settings: Settings) -> None:
+    def apply(self, settings: Settings, of_joint: Mapping[str, Floats] | None = None) -> None:
         """
         Change the settings. The next step uses them, and continues from the last command.
 
-        Make other changes, for example of friction, before this call. The efforts do not jump:
-        the difference that all these changes make fades within the start ramp. If a setting per
-        joint has neither one value nor one value for each commanded joint, a ConfigurationError
-        is raised and nothing changes.
+        Make other changes, for example of friction, before this call. The effect of all changes
+        is blended in over the start ramp, so that the efforts do not jump. ``of_joint`` is the
+        result of `Settings.expanded`, if known. If a setting per joint has neither one value nor
+        one value for each commanded joint, a ConfigurationError is raised and nothing changes.
 
         """
-        arrays = settings.expanded(len(self.joints))
-        limits = arrays['effort_limits']
+        of_joint = of_joint or settings.expanded(len(self.joints))
+        limits = of_joint['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
         has_same_inputs = all(
             getattr(settings, name) == getattr(self.settings, name) for name in _INPUT_SETTINGS
         )
-        self.settings, self._of_joint, self.limits = settings, arrays, limits
-        self.law.apply(settings, arrays)
+        self.settings, self.of_joint, self.limits = settings, of_joint, limits
+        self.law.apply(settings, of_joint)
         self._shaper.configure(
             self.scale,
             self.offset,
             limits,
-            arrays['effort_rate_limits'],
+            of_joint['effort_rate_limits'],
             settings.start_ramp,
             settings.stop_ramp,
         )
@@ -144,12 +144,12 @@ class Controller:
     @property
     def scale(self) -> Floats:
         """Factors for the computed efforts, shape (m,)."""
-        return self._of_joint['effort_scale']
+        return self.of_joint['effort_scale']
 
     @property
     def offset(self) -> Floats:
         """Offsets that are added to the scaled efforts, shape (m,) [N m or N]."""
-        return self._of_joint['effort_offset']
+        return self.of_joint['effort_offset']
 
     @property
     def ramp_step(self) -> float:
@@ -163,7 +163,7 @@ class Controller:
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
+        """Velocities and accelerations used for the last efforts, each of shape (n,)."""
         return self.law.motion
 
     def cause_of_failure(self) -> str:
@@ -182,13 +182,13 @@ class Controller:
         self.supervisor.is_stopping = True
 
     def resume(self) -> None:
-        """End a stop, even a brief one; the efforts continue from the last command."""
+        """End a stop; the efforts continue from the last command."""
         if self.is_stopping:
             self.blend()  # even after a brief stop, because the reference may have been dropped
         self.supervisor.is_stopping = False
 
     def start(self) -> None:
-        """Start with zero efforts, which rise from the next step with a fresh state."""
+        """Start with zero efforts; the efforts rise from the first step with a fresh state."""
         self.supervisor.start()
         self.stop_damping.end()
         self.law.reset()
@@ -217,7 +217,7 @@ class Controller:
         Compute the command for one time; None before the first complete joint state.
 
         The time ``now`` is on the clock of state and reference [s]. ``state`` is the latest joint
-        state, and ``reference`` the latest reference. Each is None until it has arrived.
+        state, and ``reference`` is the latest reference. Each is None until a message arrives.
 
         """
         self.pass_time(now)
@@ -266,7 +266,7 @@ class Controller:
 
     @property
     def recovery_time(self) -> float:
-        """Time for which joint states must arrive without a gap to end a loss [s]."""
+        """A loss ends when joint states have arrived for this long without a gap [s]."""
         return recovery_time(self.settings.state_timeout)
 
 
@@ -333,7 +333,7 @@ class ControlLoop:
         return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """Start a dry run, or end one if the commands are zero; return False without a change."""
+        """Start a dry run, or end one if the commands are zero; return whether this was done."""
         dry_run, controller = self.dry_run, self.controller
         if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
             return False
@@ -353,7 +353,7 @@ class ControlLoop:
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
         state = collector.at(now, controller.settings.uncommanded_state_timeout)
-        # Before the first command, no effort acts, so that loads need no ramp.
+        # Before the first command no effort acts, so loads need no ramp.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
             if collector.has_leapt:
@@ -361,7 +361,7 @@ class ControlLoop:
             collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
-            # The clock was set back. The reference would apply again when its time comes.
+            # The clock was set back. At its old time, the reference would apply a second time.
             reference = self.reference = None
         if self.has_imu and self.lacks_imu:
             state = None
@@ -470,7 +470,7 @@ class ControlLoop:
         return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute force and moment of the mount on the base link, in the frame of this link."""
+        """Compute the wrench that the mount exerts on the base link, in the frame of this link."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])

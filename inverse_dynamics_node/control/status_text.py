@@ -36,7 +36,7 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
 
 
 def _computing(loop: ControlLoop) -> str:
-    """Describe how efforts are computed; say nothing in phases without computed efforts."""
+    """Describe how efforts are computed; return no text in phases without computed efforts."""
     phase, settings = loop.controller.phase, loop.controller.settings
     doing = str(phase.value).partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
@@ -174,10 +174,9 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
 
 def describe_light_joints(loop: ControlLoop) -> str:
     """Describe joints that are too light for their impedance gains, if there are any."""
-    settings = loop.controller.settings
-    if settings.mode is not Mode.JOINT_IMPEDANCE:
+    if loop.controller.settings.mode is not Mode.JOINT_IMPEDANCE:
         return ''
-    gains = settings.expanded(len(loop.index))
+    gains = loop.controller.of_joint
     inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
     damping, stiffness = inertia / _DELAY, inertia / _DELAY**2
     is_light = (gains['impedance_damping'] > damping) | (gains['stiffness'] > stiffness)
@@ -205,7 +204,7 @@ def join_names(names: Sequence[str]) -> str:
 def judge_loop(
     now: float, loop: ControlLoop | None, around: GraphInfo, rate: float, requested: float | None
 ) -> Judgement:
-    """Describe the loop, or warn that its rate is lower than requested; rates in [Hz]."""
+    """Describe the loop, or warn that its rate is lower than requested; rates are in [Hz]."""
     if not around.is_active or loop is None:
         return Level.OK, around.state
     if requested and 0.0 < rate < _SLOW * requested:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
@@ -30,7 +31,7 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Build and compile the control loop. Call functions once if their first call is slow."""
+    """Build the control loop, and call once every function whose first call is slow."""
     loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines
@@ -41,7 +42,7 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
     """
     Build the control loop of a robot with the URDF `text`.
 
-    After `make_loop` has compiled the code, this takes less than a millisecond. Raise an
+    The call takes less than a millisecond after `make_loop` has compiled the code. Raise an
     InverseDynamicsError if the parameters do not fit the robot.
     """
     loop = ControlLoop(
@@ -56,21 +57,17 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
         configuration.base_motion is BaseMotion.IMU,
     )
     loop.description = text
-    apply_configuration(loop, configuration)
+    apply_configuration(loop, configuration, check_configuration(loop, configuration))
     return loop
 
 
-def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
-    """Raise a ConfigurationError if the values per joint do not fit the robot."""
+def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapping[str, Floats]:
+    """
+    Return the values of the commanded joints, each of shape (m,), by name of the parameter.
+
+    Raise a ConfigurationError if the values do not fit the robot.
+    """
     of_joint = configuration.expanded(len(loop.controller.joints))
-    _check_springs(loop, of_joint)
-    coupling = np.zeros(len(loop.robot.joint_names))
-    coupling[loop.index] = of_joint['drive_coupling']
-    loop.dynamics.checked_coupling(coupling)
-
-
-def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
-    """Refuse springs at continuous joints: the position of such a joint may omit full turns."""
     is_turning = loop.robot.is_continuous[loop.index]
     for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
         raise ConfigurationError(
@@ -78,24 +75,29 @@ def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
             f'{of_joint["spring_stiffness"][k]:g}, expected 0: the joint is continuous, and its '
             'reported position may omit full turns'
         )
+    coupling = np.zeros(len(loop.robot.joint_names))
+    coupling[loop.index] = of_joint['drive_coupling']
+    loop.dynamics.checked_coupling(coupling)
+    return of_joint
 
 
 def apply_configuration(
-    loop: ControlLoop, configuration: Configuration, before: Configuration | None = None
+    loop: ControlLoop,
+    configuration: Configuration,
+    of_joint: Mapping[str, Floats],
+    before: Configuration | None = None,
 ) -> None:
     """
     Apply the parameters that may change while the loop runs.
 
-    Only values that differ from `before` are applied. Otherwise a change of any parameter would
-    undo a message on ~/gravity. Raise a ConfigurationError, and change nothing, if a list does not
-    have one number for each commanded joint.
+    `of_joint` is the result of `check_configuration`. Only values that differ from `before` are
+    applied. Otherwise a change of any parameter would undo a message on ~/gravity.
     """
     changed = {
         name
         for name in PARAMETERS
         if before is None or getattr(before, name) != getattr(configuration, name)
     }
-    of_joint = configuration.expanded(len(loop.controller.joints))
     if not changed.isdisjoint(_DRIVES):
         _apply_drives(loop, configuration, of_joint)
     if not changed.isdisjoint(_LOADS):
@@ -106,14 +108,14 @@ def apply_configuration(
     estimator.scale[loop.index] = of_joint['measured_effort_scale']
     if before is not None and 'gravity' in changed and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
-    loop.controller.apply(configuration)  # blends the effect of the changes above, too
+    # Blend the effect of the changes above, too.
+    loop.controller.apply(configuration, of_joint)
 
 
 def _apply_drives(
-    loop: ControlLoop, configuration: Configuration, of_joint: dict[str, Floats]
+    loop: ControlLoop, configuration: Configuration, of_joint: Mapping[str, Floats]
 ) -> None:
     """Set drives and springs of the commanded joints; other joints keep the URDF friction."""
-    _check_springs(loop, of_joint)
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
     def of_robot(name: str, others: Floats = zeros, least: float = -np.inf) -> Floats:
@@ -123,10 +125,10 @@ def _apply_drives(
         return chosen
 
     widths = configuration.coulomb_width
-    width = FRICTION_WIDTH if isinstance(widths, tuple) else widths  # of the other joints
+    width = FRICTION_WIDTH if isinstance(widths, tuple) else widths  # for the other joints
     factor = 1.0 if configuration.include_friction else 0.0
     dynamics = loop.dynamics
-    dynamics.set_drive_coupling(of_robot('drive_coupling'))  # first: it may raise an error
+    dynamics.set_drive_coupling(of_robot('drive_coupling'))
     dynamics.set_friction(
         factor * of_robot('damping', robot.damping, 0.0),
         factor * of_robot('coulomb', robot.friction, 0.0),

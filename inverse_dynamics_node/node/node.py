@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import gc
 import time
 import traceback
@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
+from ..robot.model import Floats
 from ..ros import qos
 from ..ros.graph import Graph
 from .configure import check_configuration, make_loop
@@ -85,7 +86,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _create_parts(self, configuration: Configuration, skip_ramp: Callable[[], bool]) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        now = time.monotonic  # reads the steady clock twenty times faster
+        now = time.monotonic  # twenty times as fast as reading `steady`
         if self._uses_sim_time:
             now = lambda: self.get_clock().now().nanoseconds * 1e-9  # noqa: E731
         clock = self.get_clock() if self._uses_sim_time else steady
@@ -185,7 +186,7 @@ class InverseDynamicsNode(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start to send commands, which rise from zero."""
+        """Start to send commands; the efforts rise from zero."""
         assert self._runner.loop is not None
         result = super().on_activate(state)
         if result == _SUCCESS:
@@ -232,7 +233,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._graph.expect_discovery()
         self._warn_of_launch(configuration)
         self._runner.configure(loop)
-        # A full garbage collection of the libraries' objects takes tens of milliseconds.
+        # A garbage collection of all objects of the libraries would take tens of milliseconds.
         gc.freeze()
 
     def _warn_of_launch(self, configuration: Configuration) -> None:
@@ -255,7 +256,7 @@ class InverseDynamicsNode(LifecycleNode):
     # Parameters
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Accept new values only if all of them can be used together."""
+        """Accept new values only if the node can use all of them together."""
         try:
             self._check_change(parameters)
         except InverseDynamicsError as error:
@@ -265,7 +266,8 @@ class InverseDynamicsNode(LifecycleNode):
     def _check_change(self, parameters: list[Parameter]) -> None:
         """Check new values, and store them for `_apply_parameters`, which rclpy calls next."""
         before, changed = self.configuration, {}
-        self._next_configuration = before
+        of_joint: Mapping[str, Floats] = {}
+        self._next = before, of_joint
         for parameter in parameters:
             if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
                 raise ConfigurationError(
@@ -289,8 +291,8 @@ class InverseDynamicsNode(LifecycleNode):
                         f"parameter '{name}' is read when the node is configured; deactivate and "
                         'clean up the node first'
                     )
-            check_configuration(self._runner.loop, after)
-        self._next_configuration = after
+            of_joint = check_configuration(self._runner.loop, after)
+        self._next = after, of_joint
 
     def _check_file_change(self, configuration: Configuration) -> None:
         """Refuse a change of robot_description_file, unless the change is allowed now."""
@@ -307,9 +309,10 @@ class InverseDynamicsNode(LifecycleNode):
         )
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        if self._next_configuration is self.configuration:
+        configuration, of_joint = self._next
+        if configuration is self.configuration:
             return
-        self._runner.apply(self._next_configuration)
+        self._runner.apply(configuration, of_joint)
         if self._runner.loop is None:
             self.autostart()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import threading
 import time
 from typing import Any
@@ -17,6 +17,7 @@ from ..control.monitor import Monitor
 from ..control.stop_damping import AT_REST, StopDamping
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
+from ..robot.model import Floats
 from ..ros.graph import Graph
 from .configure import apply_configuration
 from .description_file import DescriptionLoader
@@ -86,11 +87,15 @@ class LoopRunner:
         self._timers.append(self._node.create_timer(period, callback, clock=self._clock))
         return self._timers[-1]
 
-    def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters, and reset the watch timer to its shortest period."""
+    def apply(self, configuration: Configuration, of_joint: Mapping[str, Floats]) -> None:
+        """
+        Use changed parameters, and reset the watch timer to its shortest period.
+
+        `of_joint` is the result of `check_configuration`, and may be empty while there is no loop.
+        """
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
-            apply_configuration(self.loop, configuration, before)
+            apply_configuration(self.loop, configuration, of_joint, before)
             self._watch_after(self._watch_period)
 
     def forget_robot(self) -> None:
@@ -108,7 +113,7 @@ class LoopRunner:
         self._watch_after(self._watch_period)
 
     def start(self) -> None:
-        """Start to send commands, which rise from zero."""
+        """Start to send commands; the efforts rise from zero."""
         assert self.loop is not None
         self.loop.start(is_dry_run=self.configuration.dry_run)
         self.monitor.pause()
@@ -328,12 +333,13 @@ class LoopRunner:
 
 class Watchdog:
     """
-    Spins an executor so that it returns in time, even if its queue never becomes empty.
+    Spins an executor so that each spin ends in time, even if its queue never becomes empty.
 
     The EventsExecutor of rclpy queues one event for each message that arrives, and timers queue
     behind these events. The time-out of a spin applies only if the queue is empty. Therefore a
     thread ends the spin between two events, and the caller does all overdue work. The events stay
-    in the queue. A new executor would drop them, but services of rclpy 7.1 would stop answering.
+    in the queue. A new executor would drop the events, but services of rclpy 7.1 would no longer
+    answer.
     """
 
     def __init__(self) -> None:
