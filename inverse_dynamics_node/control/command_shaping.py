@@ -1,5 +1,5 @@
 """
-Scales, offsets and limits computed efforts, and prevents jumps between commands.
+Converts computed efforts into commands that respect limits and do not jump.
 
 This module uses neither ROS nor a clock. The time is an argument.
 """
@@ -16,18 +16,18 @@ import numpy as np
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Booleans, Floats
 
-_BRIEF = 0.03  # [s]; after a pause up to this, efforts continue without a blend
+_BRIEF = 0.03  # [s]; after a shorter pause, efforts continue without a blend
 LARGEST = 1e300
 """Largest effort that is accepted [N m or N]; the sum of two such efforts is finite."""
 # Rows of `CommandShaper._rows`, one column per commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 NOMINAL_STEP = 0.01
-"""Longest time by which ramps advance per command [s], unless the usual interval is longer."""
-_LONGEST_STEP = 0.5  # [s]; limit of the usual interval, unless the period is longer
-_MEMORY = 8.0  # usual intervals; time constant of the mean, which grows by at most 1/4 at once
+"""Ramps advance by at most this time per command [s], unless the usual interval is longer."""
+_LONGEST_STEP = 0.5  # [s]; upper bound of the usual interval, unless the period is longer
+_MEMORY = 8.0  # usual intervals; time constant of the mean, to which one interval adds at most 1/4
 _LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
 _PAUSE = 4.0  # usual intervals; a shorter interval is not an interruption either
-_SETTLING = 0.2  # [s] after an interruption, in which messages from before its end may arrive
+_SETTLING = 0.2  # [s]; for this long after an interruption, older messages may arrive
 
 
 class _Way(enum.Enum):
@@ -72,7 +72,7 @@ class RampClock:
         """
         Advance to the time of the next command [s]; return whether to blend this command.
 
-        The first command after a start is blended. Commands are also blended until 0.2 s after the
+        The first command after a start is blended. Commands are also blended for 0.2 s after the
         process was suspended, the machine stalled or the clock jumped.
 
         """
@@ -130,11 +130,11 @@ class StopRamp:
 
 class CommandShaper:
     """
-    Turns computed efforts into commands that continue from each other without jumps.
+    Turns computed efforts into a sequence of commands without jumps.
 
-    Only new joint states and references change the commands at once. Every other change is a ramp
-    or a blend, which advances by `clock.step`. To produce a command, advance `clock`, then call
-    `follow`, `hold` or `fall`.
+    Only new joint states and references change the commands at once. Every other change is applied
+    through a ramp or a blend, which advances by `clock.step`. To produce a command, advance
+    `clock`, then call `follow`, `hold` or `fall`.
 
     - The start ramp multiplies the computed efforts by `gain`.
     - A blend fades out the difference between the last command and the computed efforts.
@@ -143,13 +143,13 @@ class CommandShaper:
     Each ramp and each blend starts from the last command sent.
 
     A change during a blend starts a new blend, which takes over the difference that has not faded
-    yet. The first command of a blend does not advance it, unless the command before also started a
-    blend. However often something changes, the difference therefore fades as in a first-order
-    low-pass, whose time constant is the length of the start ramp.
+    yet. The first command of a blend does not advance the blend, unless the previous command also
+    started a blend. Even if every command starts a blend, the difference therefore fades as in a
+    first-order low-pass. Its time constant is the length of the start ramp.
 
     A brief pause, for example a joint state that arrives slightly late, does not start a blend.
-    Otherwise, intermittent states would restart the blend again and again. A blend that restarts
-    repeats the last command instead of following the joints.
+    Otherwise, intermittent states would restart the blend again and again, and each restart would
+    repeat the last command instead of following the joints.
 
     ``index`` lists the positions of the m commanded joints among the n joints of the robot.
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
@@ -175,7 +175,7 @@ class CommandShaper:
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
         self._left = self._duration = 0.0  # remaining fraction of the blend, and its duration [s]
-        # Whether ramp and blend pause with the next command, and whether they did with the last.
+        # Whether ramp and blend pause at the next command, and whether they paused at the last.
         self._is_paused = self._was_paused = False
         self._pause = math.inf  # [s] since efforts were followed; inf: blend the next efforts
         self._stop = StopRamp()
@@ -216,9 +216,10 @@ class CommandShaper:
         the blend waits for the next computed efforts.
 
         After a change of settings, ``tau`` contains the efforts that result from the inputs of the
-        last command, shape (n,) [N m or N]. ``added`` is added to them, shape (m,). Only the
-        difference between these efforts and the last command fades, so that the next command
-        follows changed inputs at once. Without ``tau``, the next command equals the last command.
+        last command, shape (n,) [N m or N]. ``added`` is added to the efforts of the commanded
+        joints, shape (m,). Only the difference between these efforts and the last command fades,
+        so that the next command follows changed inputs at once. Without ``tau``, the next command
+        equals the last command.
 
         """
         if self._way is _Way.FALLING:
@@ -325,9 +326,9 @@ class CommandShaper:
         """
         Ramp the commands down to zero, starting from the last command.
 
-        The efforts ``damping`` are added, shape (m,) [N m or N]. If a sum would exceed one of
-        ``limits``, one common factor reduces all damping efforts, so that they still oppose the
-        motion. By default, the limits are those of `configure`.
+        The efforts in ``damping`` are added, shape (m,) [N m or N]. If a sum would exceed one of
+        ``limits``, one common factor reduces all damping efforts, so that the damping still
+        opposes the motion. By default, the limits are those of `configure`.
 
         """
         if self._way is _Way.FALLING:
@@ -379,11 +380,11 @@ def blend_efforts(
     n joints, the effort to add, the scale, the offset, the limit and the rate limit. The output
     rows are the computed effort, the difference at the start of a blend, the excess over the limit
     at that time, and the command. On entry, the row of the command contains the last command. The
-    first row of ``flags`` receives whether each effort was cut to its limit, and the second row
-    whether a rate limit slowed it.
+    first row of ``flags`` is set where an effort was cut to its limit. The second row is set where
+    a rate limit slowed an effort.
 
     ``gain`` is the factor for the computed efforts. ``left`` is the fraction of the difference
-    that has not faded yet. If ``is_new``, a blend begins with the difference to the last command.
+    that has not faded yet. If ``is_new``, a blend begins at the last command.
     ``has_rates`` says whether rate limits exist. Ramps advance by ``elapsed`` [s].
 
     """
@@ -403,7 +404,7 @@ def blend_efforts(
         effort *= gain
         if is_new:
             rows[_JUMP, k] = last - effort
-            # A command beyond a newly tightened limit stays there at first.
+            # A command beyond a newly tightened limit keeps its value at first.
             rows[_EXCESS, k] = max(0.0, abs(last) - limit)
         if is_new and left == 1.0:
             effort = last  # without rounding errors

@@ -10,16 +10,16 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats
 from .filters import LowPass
 
-_LONGEST_GAP = 0.5  # [s]; after a longer gap between states the filter restarts
+_LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restarts
 
 
 class ExternalEffortEstimator:
     r"""
-    Low-pass filtered difference between measured and modelled joint efforts.
+    Estimates external joint efforts as the filtered difference of measured and modelled efforts.
 
     Accelerations are not measured, but derived from filtered velocities. The same low-pass
     :math:`L` filters velocities and efforts: :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
-    M(q)\,\frac{d}{dt} L[\dot q]`. The two terms of this difference have the same lag. They
+    M(q)\,\frac{d}{dt} L[\dot q]`. The two terms of this difference have the same lag, and
     therefore cancel for a motion that the model explains.
 
     The model is ``dynamics``: a robot with n joints, its payloads, wrenches and friction.
@@ -56,7 +56,7 @@ class ExternalEffortEstimator:
         self._time = time
         unexplained = self.scale * measured - self.dynamics.efforts(q, qd, self._rest)
         last_velocities, _ = self.filter.value
-        # When the first effort of a joint is measured, its filter restarts: NaN is not finite.
+        # The filter of a joint restarts at its first measured effort, because NaN is not finite.
         sample = np.array([qd, unexplained])
         velocities, unexplained = self.filter.update(time, sample, _LONGEST_GAP)
         if not 0.0 <= elapsed <= _LONGEST_GAP:

@@ -17,7 +17,7 @@ from .joint_states import State
 from .settings import Mode, Settings
 from .supervision import Phase
 
-_PLAUSIBLE = 1e9  # in SI units; a larger input explains efforts that are not finite
+_PLAUSIBLE = 1e9  # in SI units; larger inputs are named as the cause of infinite efforts
 
 
 class Reference(NamedTuple):
@@ -54,18 +54,17 @@ class ControlLaw:
         self._velocities = self._rest
         self._no_efforts = self.added = np.zeros(len(index))
         """
-        Efforts to add to the computed efforts, shape (m,) [N m or N]. They come from the
-        reference, from the springs and dampers of joint impedance, or from friction during hand
-        guiding.
+        Efforts to add to the computed efforts, shape (m,) [N m or N]. Their source is the
+        reference, the springs and dampers of joint impedance, or friction during hand guiding.
         """
         self.equilibrium: Floats | None = None
         """
-        Positions at which joint impedance holds the commanded joints, shape (m,) [rad or m]. None
-        stands for the position that is measured in the next step.
+        Positions at which joint impedance holds the commanded joints, shape (m,) [rad or m]. If
+        None, joint impedance uses the positions measured in the next step.
         """
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
-        self._has_last_inputs = False  # whether they produced the last command
+        self._has_last_inputs = False  # whether the inputs above produced the last command
         self._velocity_filter = LowPass(np.zeros(n))
         self._followed: Floats | None = None  # reference positions of the last step with feedback
 
@@ -134,7 +133,7 @@ class ControlLaw:
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
+        """Velocities and accelerations used for the last efforts, each of shape (n,)."""
         return self._velocities, self._qdd
 
     @property

@@ -3,8 +3,8 @@ Applies external loads over time: payloads, wrenches, gravity and the motion of 
 
 Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
 of the base apply at once. A wrench fades out when its messages stop. Gravity keeps its direction
-when the messages about the base stop. A ramp keeps its initial duration. Neither changed settings
-nor jumps of the clock turn a ramp back. This module uses neither ROS nor a clock. The time is an
+when the messages about the base stop. A ramp keeps its initial duration. Changed settings and
+clock jumps never reverse a ramp. This module uses neither ROS nor a clock. The time is an
 argument.
 """
 
@@ -30,7 +30,7 @@ from .settings import LARGEST_GRAVITY, LoadSettings
 STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
-_ROUNDING = 1e-3  # fraction of the sum of the moments; rounding error for flat bodies
+_ROUNDING = 1e-3  # fraction of the sum of the moments; permitted rounding error for flat bodies
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -82,7 +82,7 @@ class ExternalLoads:
         self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
         self.settings = settings or LoadSettings()
         self.payloads: dict[str, RigidBody] = {}
-        """Payload of each loaded link, as last set; ramps may be in progress."""
+        """Latest payload of each loaded link, including payloads that are still ramped in."""
         self.include_gravity = True
         """Whether the efforts include gravity and the acceleration of the base."""
         self.imu_time = -math.inf
@@ -93,7 +93,7 @@ class ExternalLoads:
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
         self._is_base_lost = True
-        self._is_new_signal = False  # whether the next motion of the base is another signal
+        self._is_new_signal = False  # whether the next motion of the base begins a new signal
         self._gravity_ramp = self.settings.load_ramp  # [s]
         self._write_base()
 
@@ -124,10 +124,10 @@ class ExternalLoads:
         """
         Apply a wrench of the environment to a link; the wrench fades out unless it is renewed.
 
-        The arguments are the time [s] and the arguments of `InverseDynamics.set_external_wrench`.
-        The result is true if efforts may jump: the call did not renew a wrench of this link in
-        time. A ConfigurationError is raised if the link does not exist, or if a vector is not
-        three finite numbers from -1e9 to 1e9.
+        ``now`` is the time [s]. The other arguments are those of
+        `InverseDynamics.set_external_wrench`. The result is true if efforts may jump, because the
+        call did not renew a wrench of this link in time. A ConfigurationError is raised if the
+        link does not exist, or if a vector is not three finite numbers from -1e9 to 1e9.
 
         """
         self.dynamics.robot.link_index(link)
@@ -158,7 +158,7 @@ class ExternalLoads:
 
         ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
         ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result
-        is true if efforts may jump: the motion was unknown until now, or a new signal began.
+        is true if efforts may jump, because the motion was unknown or a new signal began.
         A ConfigurationError is raised if a vector is not three finite numbers from -500 to 500.
 
         """
@@ -186,10 +186,10 @@ class ExternalLoads:
 
     def update(self, now: float, elapsed: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and drop the motion of the base if it is lost.
+        Advance the ramps, fade out stale wrenches, and detect a loss of the base motion.
 
         Ramps advance by ``elapsed`` [s], see `RampClock`. The result is true if efforts may
-        jump: the motion of the base was lost just now.
+        jump, because the motion of the base was lost just now.
 
         """
         for link in list(self._ramps):
@@ -228,7 +228,12 @@ class ExternalLoads:
             self._write_gravity(self.include_gravity)
 
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-        """Convert a wrench from root to base frame; each moment is about the frame's origin."""
+        """
+        Convert a wrench from the root frame to the base frame.
+
+        Each moment is about the origin of the frame.
+
+        """
         R_B0 = self._R_0B.T
         return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
 
@@ -265,7 +270,7 @@ class ExternalLoads:
 
     @property
     def gravity_at_root(self) -> Floats:
-        """Current free-fall acceleration in the root frame [m/s^2], even if excluded."""
+        """Current free-fall acceleration in the root frame [m/s^2], also if efforts exclude it."""
         at_root: Floats = self._R_0B @ self._gravity
         return at_root
 
@@ -352,7 +357,7 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     )
     if largest > _LARGEST_PAYLOAD:
         raise ConfigurationError(
-            f'payload has {largest:g} in its mass, centre of mass or inertia, expected at most '
+            f'payload contains {largest:g} as mass, centre of mass or inertia, expected at most '
             f'{_LARGEST_PAYLOAD:g} kg, m or kg m^2'
         )
     if not payload.mass:

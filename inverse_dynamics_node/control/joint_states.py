@@ -29,7 +29,7 @@ _VELOCITY_TIMEOUT = 0.05  # [s]
 _MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
 _LONGEST_NAME = 100  # [characters]; longer names take too long to compare
 LONG_AGO = -1e300
-"""Time stored for a locked joint until its first report [s]; finite, so that its age is finite."""
+"""Time stored for a locked joint until its first report [s]; finite, so that the age is finite."""
 # Rows of the known state, one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, one column per joint in the message.
@@ -73,7 +73,7 @@ class Layout:
 
 class JointStateCollector:
     """
-    Collects joint states that arrive by name, in any order, for all joints or for some.
+    Collects joint states by joint name; each message may contain any joints in any order.
 
     The drivers of an arm and its gripper often publish their joints on the same topic. Every joint
     therefore has its own time of arrival.
@@ -116,7 +116,7 @@ class JointStateCollector:
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
-        """Number of late joints that are neither commanded nor locked, at the last `rest_late`."""
+        """Number of late joints that are neither commanded nor locked, found by `rest_late`."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
@@ -265,7 +265,7 @@ class JointStateCollector:
         return list(dict.fromkeys(closest))
 
     def stale(self, now: float, timeout: float) -> list[str]:
-        """Return the commanded joints without a report within the timeout [s] before ``now``."""
+        """Return the commanded joints whose last report is older than the timeout [s]."""
         return self._named(self._is_commanded & self._is_old(now, timeout))
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
@@ -293,7 +293,7 @@ class JointStateCollector:
 
     def rest_late(self, now: float, timeout: float) -> None:
         """
-        Set the velocities of late joints to zero, except for commanded joints; times are in [s].
+        Set the velocities of late joints that are not commanded to zero; times are in [s].
 
         Otherwise, a joint whose states no longer arrive would keep its last velocity forever.
 
@@ -351,8 +351,8 @@ class JointStateCollector:
         is_finite = np.isfinite(qd)
         self._reject('position', q, np.isfinite(q), in_robot)
         has_velocity, times = self._has_velocity[in_robot], self.times[in_robot]
-        # A velocity that is missing briefly is a fault. If it stays missing, earlier velocities
-        # may have come from another publisher, such as ros2 topic pub.
+        # A velocity that is missing briefly is a fault. If the velocity stays missing, earlier
+        # values may have come from another publisher, such as ros2 topic pub.
         is_recent = (now >= times) & (now < times + self.velocity_timeout)
         is_lost = has_velocity & np.isnan(qd) & ~is_recent
         self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)

@@ -54,7 +54,7 @@ class Monitor:
         self.clamped: Counter[str] = Counter()
         """Number of commands since the start whose effort was cut to its limit, by joint."""
         self.slowed: Counter[str] = Counter()
-        """Number of commands since the start whose effort change was rate-limited, by joint."""
+        """Number of commands since the start that a rate limit slowed, by joint."""
         self.overruns = 0
         """Number of commands since the start that came more than half a period late."""
         self.period = period
@@ -100,7 +100,7 @@ class Monitor:
 
     def report(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> NodeStatus:
         """
-        Report the status of the node since the last report; the caller adds the scheduling.
+        Return the status since the last report; the caller adds the status of the scheduling.
 
         ``loop`` is None until the node is configured. ``around`` contains the state of the node
         and its connections.

@@ -2,18 +2,18 @@
 Follows the reported positions of each joint, to detect two faults.
 
 **Positions that alternate faster than a joint can move**, because two publishers report one joint;
-see `track`. The detector adds up the steps *back*, and subtracts the distance that the joint could
-cover meanwhile. A single jump, such as homing or an encoder reset, therefore adds nothing. A fast
-motion with several samples between its turning points also adds nothing. Messages may arrive late,
-and several at once. A motion within the speed limit stays below the threshold as long as no
-message is later than `LATENESS`. Three kinds of small steps back are ignored, because they are not
-contradictions:
+see `track`. The detector adds up the steps *back*, which reverse the previous step, and subtracts
+the distance that the joint could cover in the same time. A single jump, such as homing or an
+encoder reset, therefore adds nothing. A fast motion with several samples between its turning
+points also adds nothing. Messages may arrive late, or several at once. A motion within the speed
+limit stays below the threshold as long as no message is later than `LATENESS`. Three kinds of
+small steps back are ignored, because they are not contradictions:
 
 - steps due to noise and coarse encoders
 - full turns of rotary joints
 - steps due to a second publisher that relays the positions slightly late
 
-Late positions from a relay lie behind by a fraction of the distance that the joint has just
+Late positions from a relay lag behind by a fraction of the distance that the joint has just
 covered. If two publishers contradict each other, every step covers the whole distance between
 their positions.
 
@@ -23,7 +23,7 @@ and receives the messages of the whole pause within milliseconds. A joint may se
 faster than it can, because messages may be late. Each joint therefore has room for motion in
 either direction. The room grows with time at twice the speed limit, and shrinks as the joint moves
 into it. The room never exceeds the distance that a joint covers at twice the speed limit during
-the largest delay of a message. After a pause the room is zero, because messages of the pause may
+the largest delay of a message. After a pause the room is zero, because messages from the pause may
 follow.
 
 All times are times of arrival.
@@ -48,7 +48,7 @@ _LEAST_COUNT = 4  # number of reversals before an alarm: A, B, A, B, A, B
 _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
 _NOISE = (0.02, 0.005)  # smaller steps are ignored [rad, m]
 _COARSEST = (0.1, 0.02)  # an encoder has no larger steps [rad, m]
-_COUNTS = 2.5  # steps of an encoder up to this many times its smallest step are ignored
+_COUNTS = 2.5  # encoder steps up to this multiple of the smallest step are ignored
 _LEAST_STEP = 1e-6  # [rad, m]; smaller steps may be rounding errors
 _WINDOW = 0.1  # [s]; `way` is the range in the last one or two windows
 _RELAYED = 0.5  # fraction of `way` that is ignored, so that relays may be up to 50 ms late
@@ -70,7 +70,7 @@ _ROWS = 21
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     """
-    Make the array in which `track` keeps constants and memory of n joints, shape (21, n).
+    Make the array in which `track` keeps the constants and the history of n joints, shape (21, n).
 
     The speed limits are those of ``robot``. Without a robot, all joints are assumed to be
     revolute.
@@ -90,7 +90,7 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
 
 
 def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
-    """Copy the memory of one joint into the tracks of another robot description."""
+    """Copy the history of one joint into the tracks of another robot description."""
     target[_CONSTANTS:, i] = source[_CONSTANTS:, k]
 
 
@@ -115,7 +115,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
     reported position [rad or m]. ``elapsed`` is the time since the last report of this joint [s].
-    It is negative if there was no report.
+    A negative time means that there was no report.
 
     The sum of the steps back falls at twice the speed limit. The alternation ends when this sum
     is zero, at most 1 s after the last step back.
@@ -151,8 +151,9 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
 @compiled
 def ignored_step(tracks: Any, i: int, step: float) -> float:
-    """Return the largest step that noise or the encoder of a joint explains [rad or m]."""
-    # Add two steps, too: if two publishers take turns, every second position has one source.
+    """Return the largest step that noise or the encoder of a joint can explain [rad or m]."""
+    # Consider the sum of two steps, too: if two publishers take turns, every second position
+    # comes from the same publisher.
     for change in (step, step + tracks[_ANY_STEP, i]):
         if abs(change) > _LEAST_STEP:
             tracks[_SMALLEST, i] = min(tracks[_SMALLEST, i], abs(change))
@@ -186,7 +187,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint.
     ``position`` is the reported position [rad or m]. ``elapsed`` is the time since the last report
-    of this joint [s]. It is inf if there was no report, and negative if the clock was set back.
+    of this joint [s]: inf if there was no report, and negative if the clock was set back.
 
     """
     speed = _FACTOR * tracks[_SPEED, i]

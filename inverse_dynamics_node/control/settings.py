@@ -84,8 +84,8 @@ class Settings:
         '`inverse_dynamics` uses the accelerations of the reference. `computed_torque` adds '
         'feedback of position and velocity. `gravity_compensation` ignores the reference: the '
         'arm floats, for hand guiding. In '
-        '`joint_impedance`, a spring and a damper hold each joint at the reference, or where '
-        'it is',
+        '`joint_impedance`, a spring and a damper hold each joint at the reference, or at its '
+        'position if there is no reference',
     )
     kp: PerJoint = setting(100.0, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0)
     kd: PerJoint = setting(20.0, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0)
@@ -98,21 +98,21 @@ class Settings:
     friction_scale: PerJoint = setting(
         0.8,
         'Share of the friction that `gravity_compensation` compensates',
-        'With `include_friction`, from the measured velocity. Other modes compensate all friction',
+        'Needs `include_friction`; uses measured velocities. Other modes compensate all friction',
         minimum=0.0,
         maximum=1.0,
     )
     guiding_damping: PerJoint = setting(
         0.0,
-        'Viscous damping in mode `gravity_compensation`; it opposes motion',
+        'Viscous damping that opposes motion in mode `gravity_compensation`',
         unit='N m s/rad, N s/m',
         minimum=0.0,
     )
     max_position_jump: float = setting(
         0.5,
         'Largest step of a reference of `computed_torque` or `joint_impedance`. 0: unlimited',
-        'Also the largest distance of a new reference from the measured position, or from the '
-        'position that `joint_impedance` holds',
+        'The same limit applies to the distance of a new reference from the measured position, '
+        'or from the position that `joint_impedance` holds',
         unit='rad, m',
         minimum=0.0,
     )
@@ -129,22 +129,22 @@ class Settings:
     )
     effort_limits: PerJoint = setting(
         math.inf,
-        'Tighter limits of the efforts. 0: none',
-        'A changed limit applies over the start ramp: the bound of the efforts falls to it',
+        'Effort limits tighter than those of the URDF. 0: none',
+        'After a change, efforts beyond a tightened limit fall to the limit over `start_ramp`',
         unit='N m, N',
         minimum=0.0,
         is_unlimited_at_zero=True,
     )
     effort_rate_limits: PerJoint = setting(
         math.inf,
-        'Fastest change of the efforts, except over the stop ramp. 0: unlimited',
+        'Largest rate of change of the efforts, except during the stop ramp. 0: unlimited',
         unit='N m/s, N/s',
         minimum=0.0,
         is_unlimited_at_zero=True,
     )
     state_timeout: float = setting(
         0.1,
-        'A state of a commanded joint older than this is lost',
+        'Age after which the state of a commanded joint is lost',
         unit='s',
         minimum=0.005,
         maximum=60.0,
@@ -187,17 +187,17 @@ class Settings:
     )
     stop_damping: float = setting(
         0.0,
-        'Damping of an arm without brakes while it is stopped. 0: none',
-        'The rate at which motion decays: a larger one lets the arm sink more slowly. With 50, an '
-        'arm of usual proportions sinks at 0.3 m/s. Used from the next stop on',
+        'Rate at which the motion decays during a stop, for an arm without brakes. 0: no damping',
+        'With a larger rate, the arm sinks more slowly. With 50, an arm of usual proportions '
+        'sinks at 0.3 m/s. A change applies from the next stop on',
         unit='1/s',
         minimum=0.0,
         maximum=200.0,
     )
     stop_timeout: float = setting(
         20.0,
-        'Longest time of `stop_damping`, which then fades within `stop_ramp`',
-        'Used from the next stop on',
+        'Longest time of `stop_damping`, after which the damping fades within `stop_ramp`',
+        'A change applies from the next stop on',
         unit='s',
         minimum=0.0,
         maximum=300.0,
@@ -231,8 +231,8 @@ class LoadSettings:
     imu_timeout: float = setting(
         0.2,
         'Time without a message on `imu` after which the motion of the base is lost',
-        'While the motion is lost, gravity stays as it was, and the angular velocity is taken as '
-        'zero',
+        'While the motion is lost, gravity keeps its last value, and the angular velocity is '
+        'taken as zero',
         unit='s',
         minimum=0.005,
         maximum=60.0,

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from .settings import Mode
 from .supervision import COMPUTING_PHASES, Phase
 
-_MOST_NAMES = 5  # of nodes that one message lists
+_MOST_NAMES = 5  # names of nodes that one message lists
 
 
 class Level(enum.IntEnum):
@@ -300,7 +300,7 @@ class SimulatedTime(NamedTuple):
     time: float
     """Simulated time [s]; 0 if none has arrived."""
     unchanged_for: float
-    """How long the simulated time has not changed, on the steady clock [s]."""
+    """Time since the last change of the simulated time, on the steady clock [s]."""
     publishers: int
     """Number of publishers of /clock."""
 

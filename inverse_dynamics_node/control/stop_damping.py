@@ -26,9 +26,9 @@ _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # by more than a constant plus a fraction of the larger value. One value may be twice the other,
 # for example when late messages arrive together. Changes older than about a second are forgotten,
 # so that noise does not add up. In simulation (UR10, Panda, an arm with a gripper; 200 and 1000
-# Hz; delay 5 ms; noise 0.01 rad/s), the constant must be at least 0.003 after a stop at rest, and
-# 0.015 if each joint moved at up to 2 rad/s before it. A wrong sign is found within 0.02 s at 2
-# rad/s. After a stop at rest it is found within 0.12 s, when the tip moves at 0.18 m/s instead of
+# Hz; delay 5 ms; noise 0.01 rad/s), the constant must be at least 0.003 for a stop from rest, and
+# 0.015 for a stop from up to 2 rad/s. At 2 rad/s, a wrong sign is found within 0.02 s. After a
+# stop from rest, a wrong sign is found within 0.12 s: the tip then moves at 0.18 m/s instead of
 # 0.15 m/s.
 _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], none, [s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
@@ -39,14 +39,14 @@ class StopDamping:
     Damps the motion of the commanded joints while the efforts of a stop fade.
 
     The damping effort is ``-r D M(q) qd``, with the mass matrix M of the commanded joints. Each
-    velocity decays at the rate D. The arm sinks at the speed at which damping and gravity are
-    equal. The factor r rises from 0 to 1 over the stop ramp. The damping ends when the arm is at
+    velocity decays at the rate D. The arm sinks at the speed at which damping and gravity
+    balance. The factor r rises from 0 to 1 over the stop ramp. The damping ends when the arm is at
     rest, or after a timeout.
 
     The damping never drives the arm. Its power is never positive, and all efforts computed from
     one joint state together remove less than the measured velocity. The damping ends at once when
-    joint states are lost, or when velocities contradict positions: with the wrong sign of a
-    velocity, the damping would drive the joint.
+    joint states are lost or velocities contradict positions. If a velocity had the wrong sign, the
+    damping would drive the joint.
 
     ``index`` lists the positions of the m commanded joints among the n joints of the robot.
 

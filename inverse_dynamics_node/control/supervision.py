@@ -14,7 +14,7 @@ from .command_shaping import StopRamp
 from .joint_states import State
 
 _LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
-_TOLERATED_DROP = 0.05  # drop of the gain; a loss with a smaller drop ends with the next state
+_TOLERATED_DROP = 0.05  # if a loss lowers the gain by less, the next state ends the loss
 _ZEROS_TIME = 0.5  # [s]; zeros follow the ramp, because best-effort subscribers may lose some
 
 
@@ -120,9 +120,9 @@ class StateSupervisor:
     Decides whether efforts may be computed, and whether they are sent.
 
     No efforts are computed before the first complete joint state, while joint states are lost, and
-    while the controller is stopped. Joint states are lost while they are too old or inconsistent,
-    and for a recovery time afterwards. Without this time, intermittent states would raise and
-    lower the efforts again and again, which shakes the arm.
+    while the controller is stopped. Joint states are lost while the latest state is too old or
+    inconsistent, and for a recovery time afterwards. Without the recovery time, intermittent
+    states would raise and lower the efforts again and again, and shake the arm.
 
     """
 
@@ -133,7 +133,7 @@ class StateSupervisor:
         """Whether a stop is requested; the efforts may still be ramping down."""
         self.dry_run = DryRun()
         self._lost_gain = 0.0  # gain at which the states were lost
-        self._tolerated_drop = _TOLERATED_DROP  # drop of the gain, for losses in quick succession
+        self._tolerated_drop = _TOLERATED_DROP  # remaining drop for losses in quick succession
         self._fresh_since = math.inf  # arrival of the first state after the last gap
 
     def start(self) -> None:
@@ -183,5 +183,5 @@ class StateSupervisor:
 
 
 def recovery_time(timeout: float) -> float:
-    """Return for how long joint states must arrive without a gap to end a loss [s]."""
+    """Return how long joint states must arrive without a gap before a loss ends [s]."""
     return max(2.0 * timeout, _LEAST_RECOVERY)

@@ -26,8 +26,8 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     """
     Return the robot and the text of its URDF.
 
-    `description` is the URDF from the topic. It is used only if no parameter gives one. Raise an
-    InverseDynamicsError if there is no description, or the description cannot be used.
+    `description` is the URDF from the topic. The text is used only if no parameter gives a URDF.
+    Raise an InverseDynamicsError if there is no description, or the description cannot be used.
     """
     missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
@@ -38,7 +38,7 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
             'there is no robot description: the topic has none, and neither robot_description nor '
             'robot_description_file is set'
         )
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open it as a file
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open the text as a file
         is_parameter = bool(configuration.robot_description)
         where = "parameter 'robot_description'" if is_parameter else 'the robot description'
         hint = '; for a file, set robot_description_file' if is_parameter else ''
@@ -194,8 +194,9 @@ class DescriptionLoader:
         Return the new loop, and the links that had a payload but are not in the new description.
 
         If `is_active`, the new loop continues from the last command of the old loop. Otherwise it
-        copies only inputs such as payloads. `configuration` may be newer than in `load`. Raise an
-        InverseDynamicsError if the description cannot be used, or cannot replace the old one.
+        copies only inputs such as payloads. `configuration` may be newer than the one
+        passed to `load`. Raise an InverseDynamicsError if the description cannot be used, or
+        cannot replace the old one.
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None

@@ -32,10 +32,10 @@ _YAML_HEADER = """\
 #
 #     ros2 run inverse_dynamics_node inverse_dynamics_node --ros-args --params-file my_arm.yaml
 #
-# Efforts are in N m for a joint that turns and in N for one that slides. "per joint": one number
-# for all commanded joints, or a list with one for each; all numbers of a list have a decimal point
-# or none has. "live": a change while the node runs is blended in over start_ramp; other parameters
-# are read when the node is configured.
+# Efforts are in N m for revolute joints and in N for prismatic joints. "per joint": one number for
+# all commanded joints, or a list with one for each; write all numbers of a list with a decimal
+# point, or all without. "live": a change while the node runs is blended in over start_ramp; other
+# parameters are read when the node is configured.
 /**:
   ros__parameters:
 """
@@ -164,7 +164,7 @@ PUBLISHED = {
     '~/terms/friction': ('sensor_msgs/JointState', ''),
     '~/terms/external': ('sensor_msgs/JointState', ''),
     '~/external_efforts': ('sensor_msgs/JointState', 'measured minus modelled effort'),
-    '~/base_wrench': ('geometry_msgs/WrenchStamped', 'wrench of the mount on the base'),
+    '~/base_wrench': ('geometry_msgs/WrenchStamped', 'wrench of the mount on the base link'),
     '~/joint_trajectory_out': ('trajectory_msgs/JointTrajectory', 'trajectory with efforts'),
     '~/robot_description': ('std_msgs/String', 'the robot description in use'),
     '/diagnostics': ('diagnostic_msgs/DiagnosticArray', 'state of the node, every second'),

@@ -28,7 +28,7 @@ from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
-_SMALL_CHANGE = 0.05  # relative change of gravity that is not logged
+_SMALL_CHANGE = 0.05  # smaller relative changes of gravity are not logged
 _MAX_REFERENCE = 1 << 16  # [bytes]; reading takes 2 ms, during which no command is sent
 
 
@@ -37,10 +37,10 @@ class Inputs:
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
-        self._configuration: Configuration | None = None  # used for the latest message
+        self._configuration: Configuration | None = None  # as of the latest message
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
-        self._collector: JointStateCollector | None = None  # that the reader was made for
+        self._collector: JointStateCollector | None = None  # the reader was made for this object
         self.last_joint_state = time.monotonic()
         """Steady time of the last joint state [s]; before the first one, the time of the start."""
         self._R_BS: Floats = np.eye(3)
@@ -119,7 +119,7 @@ class Inputs:
             return ()
         if len(measured) == count:
             return measured
-        if len(measured):  # the positions are used anyway
+        if len(measured):  # the positions are still used
             self._runner.reject('joint_states', f'{count} names, but {len(measured)} efforts')
         return np.full(count, math.nan)
 

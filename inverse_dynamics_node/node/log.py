@@ -27,8 +27,8 @@ from ..errors import shortened_lines
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
 _LONG_PERIOD = 10.0  # [s]; between repetitions of a problem that only a user can solve
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
-_MOST_CHANGES = 6  # changes of activity that are logged within _PERIOD
-_MOST_MESSAGES = 3  # reports on one topic that are logged within _PERIOD
+_MOST_CHANGES = 6  # largest number of changes of activity that are logged within _PERIOD
+_MOST_MESSAGES = 3  # largest number of reports on one topic that are logged within _PERIOD
 _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
 
 
@@ -167,11 +167,11 @@ class NodeLog:
             self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
 
     def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
-        """Warn that new joint states lack velocities of these joints; name the publishers."""
+        """Warn that new joint states lack the velocities of these joints; name the publishers."""
         if self._is_due('velocities'):
             self._logger.warning(
-                f'joint_states: the velocities of {", ".join(joints)} are taken as zero: '
-                f'new messages lack them (published by {join_names(publishers)})'
+                f'joint_states: the velocities of {", ".join(joints)} are missing in new messages '
+                f'from {join_names(publishers)}; zero is used'
             )
 
     def report_implausible(self, loop: ControlLoop) -> None:
@@ -197,7 +197,9 @@ class NodeLog:
             for name in loop.collector.without_velocity():
                 self._logger.warning(f"joint_states: '{name}' has no velocity; zero is used")
             for name in loop.collector.unseen():
-                self._logger.warning(f"joint_states: '{name}' is missing, and is taken as locked")
+                self._logger.warning(
+                    f"joint_states: '{name}' is not reported; its locked position is used"
+                )
             self.report_implausible(loop)
             self._last_activity = Phase.WAITING, False
         steady = time.monotonic()

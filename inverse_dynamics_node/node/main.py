@@ -241,7 +241,8 @@ def _unblock_output() -> None:
     for number, name in ((1, 'stdout'), (2, 'stderr')):
         try:
             _unblock(number)
-        except OSError:  # The output is closed. A new socket would get this number, and the log.
+        except OSError:
+            # The output is closed. A new socket would get its number, and would receive the log.
             _open_as(os.devnull, number, os.O_WRONLY)
         output: Any = _LossyOutput(number, 'w', closefd=False)
         setattr(sys, name, io.TextIOWrapper(output, errors='backslashreplace', write_through=True))

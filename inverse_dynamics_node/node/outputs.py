@@ -87,7 +87,7 @@ class Outputs:
             if self._joint_commands in self._subscribed:
                 self._publish_joint_commands(loop, sent)
             else:
-                loop.drive.weight = 0.0  # a driver that appears later is led to the reference
+                loop.drive.weight = 0.0  # for a later subscriber, the reference is ramped in
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)

@@ -68,7 +68,7 @@ class Configuration(Settings, LoadSettings):
     robot_description: str = parameter(
         '',
         'The URDF, as XML text',
-        'If empty, it comes from `robot_description_file`, else from the topic',
+        'If empty, the URDF comes from `robot_description_file`, or else from the topic',
         is_live=False,
     )
     robot_description_file: str = parameter(
@@ -80,23 +80,23 @@ class Configuration(Settings, LoadSettings):
     joints: tuple[str, ...] = parameter(
         [''],
         'The joints to command, in the order of `~/commands` and `~/desired_accelerations`',
-        'If empty, every movable joint, in the order of the URDF. The dynamics include all joints',
+        'If empty, all movable joints, in the order of the URDF. The dynamics include all joints',
         is_live=False,
     )
     base_link: str = parameter(
         '',
         'Link in whose frame gravity, `imu` and `~/base_wrench` are expressed. Empty: root link',
-        'No movable joint may lie between it and the root link',
+        'No movable joint may lie between this link and the root link',
         is_live=False,
     )
     on_missing_inertial: MissingInertial = parameter(
         MissingInertial.WARN.value,
-        'Warn of, or refuse, robot descriptions with links that have a shape, but no `<inertial>`',
+        'Whether links that have a shape but no `<inertial>` cause a warning or an error',
         is_live=False,
     )
     update_rate: float = parameter(
         0.0,
-        'Commands per second, at least 1. 0: one for every joint state',
+        'Commands per second, at least 1. 0: one command for every joint state',
         unit='Hz',
         minimum=0.0,
         maximum=10_000.0,
@@ -105,8 +105,9 @@ class Configuration(Settings, LoadSettings):
     dry_run: bool = parameter(
         False,
         'Compute, check and publish everything, but send no `~/commands`',
-        'If switched on while the node sends commands, they fall to zero within `stop_ramp`, '
-        'zeros follow for 0.5 s, then nothing. If switched off, they rise within `start_ramp`',
+        'When a dry run starts, the commands fall to zero within `stop_ramp`, zeros follow for '
+        '0.5 s, and then nothing is sent. When a dry run ends, the commands rise within '
+        '`start_ramp`',
         default_note='false; true in the launch file',
     )
     gravity: tuple[float, float, float] = parameter(
@@ -119,8 +120,8 @@ class Configuration(Settings, LoadSettings):
     base_motion: BaseMotion = parameter(
         BaseMotion.FIXED.value,
         'Motion of the base',
-        '`fixed`: at rest, with gravity from the parameter. `imu`: as measured on the topic '
-        '`imu`, which replaces gravity; there is no command before the first message',
+        '`fixed`: the base is at rest, and gravity is that of the parameter. `imu`: messages on '
+        'the topic `imu` replace gravity, and there is no command before the first message',
         is_live=False,
     )
     imu_orientation: tuple[float, float, float] = parameter(
@@ -143,16 +144,16 @@ class Configuration(Settings, LoadSettings):
     measured_gravity: MeasuredGravity = parameter(
         MeasuredGravity.AS_COMMANDED.value,
         'Whether the measured efforts contain gravity',
-        '`as_commanded`: they do if `include_gravity` is true. Franka and KUKA FRI add gravity to '
-        'the commands, and their measured efforts contain it: set `included` here, and '
-        '`include_gravity` to false. Used by `~/external_efforts`, `inverse_dynamics watch` and '
-        '`compare`; commands do not depend on it',
+        '`as_commanded`: yes if `include_gravity` is true. Franka and KUKA FRI add gravity to the '
+        'commands, and their measured efforts contain gravity: choose `included` here, and set '
+        '`include_gravity` to false. The choice affects `~/external_efforts`, '
+        '`inverse_dynamics watch` and `compare`, but not the commands',
     )
     measured_effort_scale: PerJoint = parameter(
         1.0,
         'Factor that converts the measured efforts to N m or N',
-        'For a driver that measures currents, the N m per ampere of each joint. Negative for one '
-        'that measures with the opposite sign',
+        'If the driver measures currents, give the N m per ampere of each joint. If the driver '
+        'measures with the opposite sign, give a negative number',
     )
     include_friction: bool = parameter(
         False,
@@ -183,15 +184,15 @@ class Configuration(Settings, LoadSettings):
     load_friction: PerJoint = parameter(
         0.0,
         'Increase of Coulomb friction per load on the gear: 0.05 adds 5 % of the load',
-        'The load is the effort that moves and holds the links, payloads, springs and external '
-        'wrenches included. `armature` and friction are on the side of the motor and are not '
-        'part of it',
+        'The load is the effort that moves and holds the links, including payloads, springs and '
+        'external wrenches. `armature` and friction act on the motor side and are not part of '
+        'the load',
         minimum=0.0,
         maximum=10.0,
     )
     sqrt_damping: PerJoint = parameter(
         0.0,
-        'Friction per square root of the speed, beside `damping`',
+        'Friction per square root of the speed, in addition to `damping`',
         unit='N m (s/rad)^0.5, N (s/m)^0.5',
         minimum=0.0,
     )
@@ -203,18 +204,18 @@ class Configuration(Settings, LoadSettings):
     )
     drive_coupling: PerJoint = parameter(
         0.0,
-        'Turn of the drive of a joint per turn of the joint before it, as in coupled wrists',
+        'Turns of the drive of a joint per turn of the previous joint, as in coupled wrists',
         'Friction and `armature` are computed from the motion of the drive, and act on this joint '
-        'and the joint before it. Must be 0 for a joint on the base link',
+        'and the previous joint. Must be 0 for a joint on the base link',
         minimum=-100.0,
         maximum=100.0,
     )
     spring_stiffness: PerJoint = parameter(
         0.0,
         'Stiffness of a spring or counterweight at each commanded joint',
-        'It is part of the model, whatever `include_gravity` is; `stiffness` is that of '
-        '`joint_impedance`. Without a real spring, the commands push the joint away from '
-        '`spring_rest`. 0 for a continuous joint',
+        'The model includes the spring for either value of `include_gravity`. The virtual springs '
+        'of `joint_impedance` have the parameter `stiffness`. If the robot has no real spring, '
+        'the commands push the joint away from `spring_rest`. Must be 0 for a continuous joint',
         unit='N m/rad, N/m',
     )
     spring_rest: PerJoint = parameter(
@@ -235,7 +236,7 @@ class Configuration(Settings, LoadSettings):
     thread_priority: int = parameter(
         50,
         'Priority of the control loop and the middleware in the scheduling policy `SCHED_FIFO`',
-        'Without the permission, the threads keep normal priority, and a warning is logged',
+        'Without permission, the threads keep normal priority, and a warning is logged',
         minimum=1,
         maximum=99,
         is_live=False,
@@ -257,7 +258,7 @@ class Configuration(Settings, LoadSettings):
     allow_description_file_changes: FileChanges = parameter(
         FileChanges.BEFORE_ACTIVATION.value,
         'When `robot_description_file` may be set while the process runs',
-        'Whoever sets it chooses a file that this process opens, and code that xacro evaluates. '
+        'Its value names a file that this process opens, and code that xacro evaluates. '
         '`before_activation`: until the node is activated for the first time. `never`: only the '
         'command line and parameter files set it. Topics never name a file',
         is_live=False,
@@ -265,8 +266,8 @@ class Configuration(Settings, LoadSettings):
     )
     allow_unknown_parameters: bool = parameter(
         False,
-        'Ignore parameters that this node does not have, in a file that several nodes share',
-        'By default they prevent the start, because a mistyped limit is not a limit',
+        'Ignore unknown parameters, for example in a file that several nodes share',
+        'By default, they prevent the start, because a mistyped limit is not a limit',
         is_live=False,
         is_read_only=True,
     )

@@ -1,7 +1,7 @@
 """
 Resolves names with the ROS arguments of the node, and finds mistakes in the arguments.
 
-Mistakes are remap rules and parameter files without effect, and parameter files that do not exist.
+The mistakes are remap rules and parameter files without effect, and missing parameter files.
 """
 
 from __future__ import annotations

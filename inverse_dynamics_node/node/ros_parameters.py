@@ -138,8 +138,8 @@ def _declared(node: Node) -> list[str]:
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    # Without dynamic typing, rclpy would reject 500 for 500.0. Parameter.check() checks the type
-    # instead. It also checks the range, because rclpy checks only the range of single doubles.
+    # Without dynamic typing, rclpy would reject 500 for 500.0. Parameter.check() checks type and
+    # range instead, because rclpy checks only the range of single doubles.
     descriptor = ParameterDescriptor(
         description=parameter.description,
         additional_constraints=f'expected {parameter.kind.expected}; {parameter.applies}',

@@ -129,9 +129,9 @@ class Scheduling:
         """
         Give the threads normal priority while the process needs almost all of a CPU.
 
-        Call this method regularly. It returns a report for the log after a change, otherwise an
-        empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of its CPU to
-        other programs. That is enough to stop the loop from a terminal, but not for other work.
+        Call this method regularly. After a change, the result is a report for the log; otherwise
+        an empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of its CPU to
+        other programs: enough to stop the loop from a terminal, but not for other work.
         """
         duration = time.monotonic() - self._began
         if duration < (_WINDOW if self._is_realtime else _CALM_WINDOW):

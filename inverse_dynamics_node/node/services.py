@@ -69,7 +69,7 @@ def _report(loop: ControlLoop, q: Floats | None) -> str:
 
 def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     """
-    Catch the errors of the services and subscriptions that rclpy has created.
+    Catch errors in the services and subscriptions that rclpy has created.
 
     The executor of rclpy 7.1 raises an error for a parameter of an unknown type, a time before
     zero on /clock, or a lifecycle transition that is not possible now. The executor would
@@ -77,7 +77,7 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
 
     Call this function before the node creates its own services and subscriptions, whose errors
     must not be hidden. `keep_up` is called after every request, because many requests may be
-    waiting, and each request takes as long as several commands.
+    waiting, and each request takes as long as several steps of the loop.
     """
     for service in node.services:
         callback = service.callback

@@ -22,7 +22,7 @@ from ..ros import qos
 from .log import NodeLog
 from .worker import Worker
 
-_MAX_SIZE = 1_000_000  # [bytes]; receiving and sending it delays commands by milliseconds
+_MAX_SIZE = 1_000_000  # [bytes]; a trajectory of this size delays commands by milliseconds
 _MAX_WAITING = 10
 _PERIOD = 0.005  # [s]; between checks for results
 _FIELDS = ('positions', 'velocities', 'accelerations', 'effort')

@@ -24,7 +24,7 @@ _CDR_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 _HEADER = len(_CDR_LITTLE_ENDIAN)  # alignment is relative to the end of the header
 _STAMP = 8  # [bytes]
 _NUMBER = np.dtype('<f8')
-_MAX_LAYOUTS = 16  # with more layouts, the names seem to change with every message
+_MAX_LAYOUTS = 16  # if there are more layouts, the names change with every message
 
 
 def stamp_of(data: bytes) -> int:
@@ -48,8 +48,7 @@ class JointStateReader:
     """
     Reads serialized joint states, fast if the layout of the message is known.
 
-    `prepare` makes `JointStateArrays.joints` from the names. In most cases it is called once for
-    each publisher.
+    `prepare` makes `JointStateArrays.joints` from the names, usually once for each publisher.
     """
 
     def __init__(self, prepare: Callable[[tuple[str, ...]], Any] = tuple) -> None:

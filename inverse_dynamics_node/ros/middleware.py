@@ -75,7 +75,7 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
 
 
 def security_hints(error: Exception) -> list[str]:
-    """Return advice for an error of ROS if security is on; otherwise an empty list."""
+    """Return advice for an error in ROS if security is on; otherwise an empty list."""
     if os.environ.get(_SECURITY) != 'true' or not isinstance(error, RuntimeError):
         return []
     return [
@@ -87,7 +87,7 @@ def security_hints(error: Exception) -> list[str]:
 
 @contextmanager
 def explained_start() -> Iterator[None]:
-    """Raise a ConfigurationError of one line if ROS cannot start or a node cannot be created."""
+    """Raise a one-line ConfigurationError if ROS cannot start or a node cannot be created."""
     try:
         yield
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names

@@ -436,7 +436,7 @@ def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot
     robot.publish_state(joints, Q[[0, 1, 3, 4]], QD[[0, 1, 3, 4]])
     still = QD * [1, 1, 0, 1, 1, 0]
     robot.wait_for_command(dynamics.efforts(Q, still, ZERO)[[0, 1, 3, 4]])
-    robot.wait_for_text(node, f"'{NAMES[2]}' is missing, and is taken as locked")
+    robot.wait_for_text(node, f"'{NAMES[2]}' is not reported; its locked position is used")
     seen = [0, 1, 3, 4, 2]
     elsewhere = Q.copy()
     elsewhere[2] = 0.6

@@ -176,14 +176,14 @@ def test_one_message_with_velocities_does_not_stop_an_arm_without_them(run_node,
     robot.publish_state(NAMES, Q)
     robot.wait_for_command(HOLD)
     # The subscription is best effort and keeps one message: this one may be lost.
-    words = f'velocities of {", ".join(NAMES)} are taken as zero: new'
+    words = f'velocities of {", ".join(NAMES)} are missing in new messages'
     message = JointState(name=NAMES, position=Q, velocity=ZERO)
     robot.publish_until(lambda: words in node.output, words, 'joint_states', message)
     count, since = len(robot.commands), time.monotonic()
     robot.wait_until(lambda: time.monotonic() > since + 3.0, 'longer than the time-out')
     robot.wait_for_command(HOLD)
     assert all(command == pytest.approx(list(HOLD)) for command in robot.commands[count:])
-    robot.wait_for_text(node, 'new messages lack them (published by /robot)')
+    robot.wait_for_text(node, 'in new messages from /robot; zero is used')
 
 
 def test_the_log_reports_a_lost_imu_and_its_return(run_node, robot):

@@ -73,5 +73,5 @@ def test_every_default_is_valid_and_described(name):
 def test_the_unit_follows_the_first_sentence():
     assert PARAMETERS['kp'].description == 'Position gain of computed_torque [1/s^2]'
     description = PARAMETERS['effort_limits'].description
-    assert description.startswith('Tighter limits of the efforts [N m, N]. 0: none. A changed')
+    assert description.startswith('Effort limits tighter than those of the URDF [N m, N]. 0: none')
     assert re.search(r'reports it \[rad, m\]\. ', LOCKED_POSITION.description)
