@@ -113,15 +113,17 @@ def independence(inertia: Floats) -> float:
 
 def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     weak = [
-        f'joint {name!r} needs {abs(effort):.3g} N m or N against gravity (limit {limit:g})'
-        for name, effort, limit in zip(
-            robot.joint_names, efforts, robot.effort_limits, strict=True
+        f'joint {name!r} needs {abs(effort):.3g} {"N" if slides else "N m"} against gravity '
+        f'(limit {limit:g})'
+        for name, slides, effort, limit in zip(
+            robot.joint_names, robot.is_prismatic_joint, efforts, robot.effort_limits, strict=True
         )
         if abs(effort) > EFFORT_USED * limit
     ]
     return (
         'the effort limits of the URDF are too small for the robot to hold its own weight and '
-        f'move: in the best of the sampled poses, {", ".join(weak)}'
+        f'move: in the best of the sampled poses, {", ".join(weak)}; write the limits of the data '
+        'sheet into <limit effort>, and check the masses'
     )
 
 

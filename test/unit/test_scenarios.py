@@ -321,6 +321,11 @@ class TestView:
         assert 'mrad' in lines[3]
         assert ' mm ' in lines[5]
 
+    def test_columns_of_large_errors_are_separate(self, setup, capsys):
+        view = View(setup.robot, '', Console(file=io.StringIO()))
+        view.print_progress(self.snapshot(setup, off=-2.0))
+        assert ' 2000.000 mrad' in capsys.readouterr().out
+
     def test_units_are_aligned(self, setup):
         console = Console(file=io.StringIO(), width=110)
         console.print(View(setup.robot, '').render(self.snapshot(setup)))

@@ -443,7 +443,8 @@ class TestTrajectory:
 
     def test_weak_drives_are_named(self):
         robot = load_urdf(arm(BODY, limit='lower="-0.2" upper="0.2" effort="0.1" velocity="3"'))
-        with pytest.raises(SimulationError, match=r"too small .* 'j1' needs .* \(limit 0\.1\)"):
+        message = r"too small .* 'j1' needs \S+ N m against .* \(limit 0\.1\); write the limits"
+        with pytest.raises(SimulationError, match=message):
             start_pose(robot, InverseDynamics(robot))
 
     def test_robot_without_room_is_rejected(self):

@@ -129,9 +129,9 @@ class View:
         """Print positions, desired positions, errors and efforts."""
         print(f'\nt = {snapshot.time:.1f} s   {snapshot.rate:.1f} commands/s')
         wide = name_width(self.robot)
-        print(f'{"joint":{wide}}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
+        print(f'{"joint":{wide}}{"position":>15}{"desired":>15}{"error":>14}{"effort":>14}')
         for name, position, desired, error, effort in self._cells(snapshot):
-            print(f'{name:{wide}}{position:>15}{desired:>15}{error}{effort}')
+            print(f'{name:{wide}}{position:>15}{desired:>15} {error}{effort}')
         sys.stdout.flush()
 
 
