@@ -13,7 +13,7 @@ from typing import Any
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import did_you_mean, shortened, UrdfError
 from ..report.tables import WIDTH, wrapped
-from ..robot.end_effector import last_link
+from ..robot.kinematics import last_link
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .console import waiting

@@ -12,10 +12,9 @@ import numpy as np
 
 from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, SAMPLES, Workspace
 from ..errors import listed
-from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
-from ..report.tables import Table, warnings_about, WIDTH
-from ..robot.end_effector import last_link
+from ..report.tables import decimals, effort_unit, fraction, number, Table, warnings_about, WIDTH
+from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
 from .arguments import CommandParser

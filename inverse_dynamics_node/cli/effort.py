@@ -20,8 +20,7 @@ from ..analysis.trajectory_files import (
 )
 from ..dynamics.trajectory import complete, refine, smooth, Trajectory
 from ..errors import ConfigurationError, listed, unknown_name
-from ..report.quantities import decimals, effort_unit, fraction, number
-from ..report.tables import Table
+from ..report.tables import decimals, effort_unit, fraction, number, Table
 from ..robot.limit_checks import position_warnings
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments

@@ -18,7 +18,7 @@ from ..report.identification_report import (
     summary_lines,
 )
 from ..report.tables import Table
-from ..robot.end_effector import last_link
+from ..robot.kinematics import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments

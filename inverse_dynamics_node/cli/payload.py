@@ -21,7 +21,7 @@ from ..report.payload_report import (
     topic_command,
     verdict,
 )
-from ..robot.end_effector import last_link
+from ..robot.kinematics import last_link
 from . import arguments
 from .arguments import CommandParser, RESULT
 from .console import progress, say, show, waiting

@@ -6,8 +6,7 @@ import math
 
 from ..analysis.diagnosis import ComparisonResult, JointResidual, Motion
 from .diagnosis_text import amount, sentence
-from .quantities import motion_notes, with_error
-from .tables import Table
+from .tables import motion_notes, Table, with_error
 
 AT_NOISE = 1.5  # a residual below this multiple of the noise may consist of noise only
 

@@ -18,8 +18,7 @@ from ..analysis.excitation import (
 from ..dynamics.trajectory import Trajectory
 from ..errors import listed
 from ..robot.model import Floats, RobotModel
-from .quantities import effort_unit, fraction, number
-from .tables import Table
+from .tables import effort_unit, fraction, number, Table
 
 
 def excitation_tables(

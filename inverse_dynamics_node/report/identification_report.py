@@ -10,8 +10,7 @@ import numpy as np
 
 from ..analysis.identification import BodyResult, IdentificationResult, JointResult, Residuals
 from ..errors import significant
-from .quantities import motion_notes, with_error
-from .tables import Table
+from .tables import motion_notes, Table, with_error
 
 DETERMINED = 0.5
 """A mass is determined if at least this fraction of the information about it is recorded."""

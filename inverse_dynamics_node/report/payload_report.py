@@ -10,8 +10,7 @@ import numpy as np
 from ..analysis.payload import PayloadEstimate
 from ..robot.model import Floats, RobotModel
 from .diagnosis_text import amount, listed
-from .quantities import with_error
-from .tables import Table
+from .tables import Table, with_error
 
 _WITHOUT_EMPTY = (
     'Without an empty run, errors in the modelled links look like a payload. On real robots, this '

@@ -11,8 +11,18 @@ from numpy.typing import ArrayLike
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError
 from ..robot.model import Floats, Integers, RobotModel
-from .quantities import decimals, effort_unit, fraction, kind_of, number
-from .tables import as_text, Table, warnings_about, warnings_as_text, wrapped
+from .tables import (
+    as_text,
+    decimals,
+    effort_unit,
+    fraction,
+    kind_of,
+    number,
+    Table,
+    warnings_about,
+    warnings_as_text,
+    wrapped,
+)
 
 
 def model_tables(

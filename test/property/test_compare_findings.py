@@ -12,7 +12,7 @@ from inverse_dynamics_node.report.compare_report import (
     verdict,
 )
 from inverse_dynamics_node.report.diagnosis_text import diagnosis_warning
-from inverse_dynamics_node.report.quantities import motion_notes
+from inverse_dynamics_node.report.tables import motion_notes
 import numpy as np
 import pytest
 from runs import EVERY_ROBOT, run

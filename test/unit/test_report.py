@@ -2,11 +2,11 @@
 
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
-from inverse_dynamics_node.report.quantities import effort_unit
 from inverse_dynamics_node.report.robot_tables import model_report, model_tables
 from inverse_dynamics_node.report.tables import (
     all_shortened,
     as_text,
+    effort_unit,
     shortened,
     Style,
     Table,

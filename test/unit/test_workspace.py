@@ -9,7 +9,7 @@ from inverse_dynamics_node.analysis.sizing import (
 )
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError
-from inverse_dynamics_node.robot.end_effector import last_link
+from inverse_dynamics_node.robot.kinematics import last_link
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest

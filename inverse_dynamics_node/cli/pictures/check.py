@@ -10,8 +10,7 @@ import numpy as np
 
 from ...analysis.sizing import PayloadCapacity, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...report.quantities import effort_unit
-from ...report.tables import shortened
+from ...report.tables import effort_unit, shortened
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
 from . import style

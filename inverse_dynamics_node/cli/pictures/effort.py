@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.sizing import EffortRequirements
 from ...dynamics.trajectory import Trajectory
-from ...report.quantities import effort_unit
+from ...report.tables import effort_unit
 from ...robot.model import RobotModel
 from . import style
 

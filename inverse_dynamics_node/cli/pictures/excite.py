@@ -10,8 +10,7 @@ import numpy as np
 from ...analysis.excitation import Clearance, Excitation, Extent, whole_positions
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.trajectory import Trajectory
-from ...robot.end_effector import last_link
-from ...robot.kinematics import body_frames
+from ...robot.kinematics import body_frames, last_link
 from ...robot.model import Floats, RobotModel
 from . import style
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.end_effector import last_link
+from ...robot.kinematics import last_link
 from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
