@@ -21,8 +21,8 @@ from inverse_dynamics_node.analysis.diagnosis import (
     diagnose_recording,
     Fault,
     FaultKind,
-    Recording,
 )
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 from inverse_dynamics_node.report.diagnosis_text import headline
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np

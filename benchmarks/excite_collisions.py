@@ -40,10 +40,10 @@ except ImportError:  # test/test_markdown.py and the linters import without them
     coal = pinocchio = None
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.excitation import (
+from inverse_dynamics_node.analysis.excitation.limits import motion_limits
+from inverse_dynamics_node.analysis.excitation.search import (
     DURATION,
     find_excitation,
-    motion_limits,
     SAMPLES_PER_SECOND,
 )
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory

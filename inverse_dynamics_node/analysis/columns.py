@@ -102,14 +102,20 @@ def payload_columns(
     body = int(robot.link_body[k])
     if body == 0:  # the base does not move
         return np.zeros((*states[0].shape, PARAMETERS))
-    of_link = np.zeros((PARAMETERS, 4, 4))
-    for moment, (i, j) in zip(of_link, _MOMENTS, strict=True):
-        moment[i, j] = moment[j, i] = 1.0
+    of_link = moment_matrices(np.eye(PARAMETERS))
     to_body = np.eye(4)
     to_body[:3, :3], to_body[:3, 3] = robot.link_rotation[k], robot.link_position[k]
     parameters = parameters_of_pseudo_inertias(to_body @ of_link @ to_body.T)
     columns = body_columns(InverseDynamics(robot, gravity), states, [body])
     return np.asarray(columns @ parameters.T)
+
+
+def moment_matrices(parameters: Floats) -> Floats:
+    """Return the second moments of mass of loads in homogeneous coordinates, shape (..., 4, 4)."""
+    matrices = np.zeros((*parameters.shape[:-1], 4, 4))
+    for k, (i, j) in enumerate(_MOMENTS):
+        matrices[..., i, j] = matrices[..., j, i] = parameters[..., k]
+    return matrices
 
 
 SECOND_MOMENTS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)

@@ -28,7 +28,13 @@ from ..robot.rigid_body import (
     rigid_body,
     RigidBody,
 )
-from .columns import body_columns, direction_of, payload_columns, SECOND_MOMENTS
+from .columns import (
+    body_columns,
+    direction_of,
+    moment_matrices,
+    payload_columns,
+    SECOND_MOMENTS,
+)
 from .identification.fit import Prior, weights_of
 from .identification.preparation import measured_joints, prepare_all
 from .recordings.resampling import pieces, Resampler, resampler
@@ -64,7 +70,7 @@ class PayloadEstimate:
     link: str
     """Link that carries the payload."""
     body: RigidBody
-    """The payload in the frame of the link; the estimate is always physical."""
+    """The payload in the frame of the link; its inertia is always physically possible."""
     mass_error: float
     """Standard error of the mass [kg]."""
     com_error: Floats
@@ -114,7 +120,7 @@ class _Rows(NamedTuple):
     """Columns of the links, shape (rows, joints, 10 per link); none if there is an empty run."""
     terms: Floats
     """
-    Columns that act on a single joint, such as offset and friction, shape (rows, joints, terms).
+    Columns of terms that act on a single joint, such as friction, shape (rows, joints, terms).
     """
     arm: Floats
     """Modelled efforts of the arm, shape (rows, joints); a wrong gain scales these efforts too."""
@@ -139,7 +145,7 @@ def measure_payload(
     Measure the payload on a link from recordings with and without the payload.
 
     Both recordings contain the same motion, or the same poses. Without an empty recording, the
-    robot description has to be right. The robot model does not contain the payload. `gravity` is
+    robot description must be right. The robot model must not contain the payload. `gravity` is
     the free-fall acceleration in the frame of the base link [m/s^2]. Raises RecordingError if a
     recording is too short, or if the runs have too few states in common.
 
@@ -150,7 +156,10 @@ def measure_payload(
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
     rests = [_rests(motion) for motion in motions]
-    is_still = all(map(_is_still, motions, rests))
+    is_still = all(
+        sum(each.stop - each.start for each in own) > 0.5 * len(motion.times)
+        for motion, own in zip(motions, rests, strict=True)
+    )
     smooth = None if is_still else resampler(motions[0], WINDOW)
     if is_still:
         motions = list(map(_poses, motions, rests))
@@ -170,10 +179,10 @@ def measure_payload(
         offset = REACH_OF_LINKS / max(fit.x[0], LIGHTEST)
         variances += (APPARENT * np.array([1.0, offset, offset, offset])) ** 2
     errors = np.sqrt(variances)
-    fitted = rows.payload @ _parameters(fit.x)
+    fitted, moments = rows.payload @ _parameters(fit.x), moment_matrices(_parameters(fit.x))
     return PayloadEstimate(
         link,
-        _body(fit.x),
+        rigid_body(moved_inside(parameters_of_pseudo_inertias(moments))),
         float(errors[0]),
         errors[1:],
         _shows_inertia(covariance, fit.x),
@@ -205,10 +214,6 @@ def _rests(motion: Motion) -> list[slice]:
             if b - a >= least + 2 * trim
         ]
     return found
-
-
-def _is_still(motion: Motion, rests: Sequence[slice]) -> bool:
-    return bool(sum(each.stop - each.start for each in rests) > 0.5 * len(motion.times))
 
 
 def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
@@ -404,7 +409,7 @@ class _Fit:
         return np.asarray(x)
 
     def covariances(self) -> tuple[Floats, Floats]:
-        """Return the covariance of the unknowns, and the share of it that is due to noise."""
+        """Return the covariance of the unknowns, and the part of it that noise causes."""
         matrix, _ = self._normal()
         slope, known, _ = self._near(self.x, matrix)
         data = slope.T @ matrix @ slope
@@ -416,8 +421,9 @@ class _Fit:
         count = len(self.products)
         if count < 2:
             return np.zeros(4)
-        others = [_mass_and_com(self._solution(k)) for k in range(count)]
-        return np.asarray((count - 1) * np.var(others, axis=0))
+        others = [self._solution(k) for k in range(count)]
+        mass_and_com = [np.r_[x[0], x[1:4] / _divisor(x)] for x in others]
+        return np.asarray((count - 1) * np.var(mass_and_com, axis=0))
 
 
 def _parameters(x: Floats) -> Floats:
@@ -435,11 +441,6 @@ def _slope(x: Floats) -> Floats:
         slope[row, 1 + i] += h[j] / m
         slope[row, 1 + j] += h[i] / m
     return slope
-
-
-def _mass_and_com(x: Floats) -> Floats:
-    """Return mass and centre of mass, shape (4,)."""
-    return np.asarray(np.r_[x[0], x[1:4] / _divisor(x)])
 
 
 def _divisor(x: Floats) -> float:
@@ -460,12 +461,3 @@ def _shows_inertia(covariance: Floats, x: Floats) -> bool:
     """Return whether the measurement clearly improves the knowledge of the second moments."""
     moment = max(x[0], LIGHTEST) * RADIUS**2
     return bool(np.sqrt(np.trace(covariance[4:7, 4:7])) < 0.5 * moment)
-
-
-def _body(x: Floats) -> RigidBody:
-    matrix = np.zeros((4, 4))
-    p = _parameters(x)
-    matrix[3, 3], matrix[3, :3], matrix[:3, 3] = p[0], p[1:4], p[1:4]
-    for value, (i, j) in zip(p[4:], SECOND_MOMENTS, strict=True):
-        matrix[i, j] = matrix[j, i] = value
-    return rigid_body(moved_inside(parameters_of_pseudo_inertias(matrix)))

@@ -14,12 +14,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..dynamics.effort_terms import EffortTerms
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.trajectory import Trajectory, whole_states
 from ..errors import ConfigurationError
+from ..robot.kinematics import path_to
 from ..robot.model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
@@ -64,14 +64,12 @@ class Workspace:
         # If several poses are equally bad, the first one is the result of the search.
         sizes = np.abs(self.efforts)
         highest = np.max(sizes, axis=0) * (1.0 - _TIE) - _TIE * np.max(sizes)
-        poses: Integers = np.argmax(sizes >= highest, axis=0)
-        return poses
+        return np.asarray(np.argmax(sizes >= highest, axis=0))
 
     @property
     def peaks(self) -> Floats:
         """Largest absolute gravity effort of each joint, shape (joints,) [N m or N]."""
-        peaks: Floats = np.max(np.abs(self.efforts), axis=0)
-        return peaks
+        return np.asarray(np.max(np.abs(self.efforts), axis=0))
 
     @property
     def hardest(self) -> int:
@@ -86,7 +84,7 @@ class PayloadCapacity(NamedTuple):
     link: str
     mass: float
     """
-    Largest mass [kg]; inf if no effort limit restricts it, 0 if gravity alone exceeds a limit.
+    Largest mass [kg]; inf without a restricting limit, 0 if gravity alone exceeds a limit.
     """
     joint: str | None
     """The joint that reaches its limit first; None if no joint does."""
@@ -107,16 +105,14 @@ def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
 def explore(
     dynamics: InverseDynamics,
     samples: int = SAMPLES,
-    effort_limits: ArrayLike | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Workspace:
     """
     Compute the gravity efforts over the whole workspace.
 
     The poses are a Sobol sequence; their number is rounded up to a power of two. The result is
-    always the same for the same arguments. Effort limits [N m or N] replace those of the robot
-    description. `progress` is called now and then with the fraction done, 0 to 1. Raises
-    ConfigurationError if there are no joints, or fewer than two samples.
+    always the same for the same arguments. `progress` is called now and then with the fraction
+    done, 0 to 1. Raises ConfigurationError if there are no joints, or fewer than two samples.
 
     """
     from scipy.stats import qmc  # the import takes a second
@@ -127,7 +123,6 @@ def explore(
         raise ConfigurationError(f"robot '{robot.name}' has no movable joint")
     if samples < 2:
         raise ConfigurationError(f'samples is {samples}, expected at least 2')
-    limits = robot.effort_limits if effort_limits is None else np.asarray(effort_limits, float)
     lower, upper = joint_ranges(robot)
     sequence = qmc.Sobol(n, scramble=False).random_base2(math.ceil(math.log2(samples)))
     poses = lower + (upper - lower) * sequence
@@ -167,7 +162,7 @@ def explore(
         robot,
         np.concatenate([worst, poses]),
         np.concatenate([dynamics.gravity_efforts(worst), efforts]),
-        limits,
+        robot.effort_limits,
         most_joints < n or (starts, windows) != (_STARTS, _WINDOWS),
     )
 
@@ -188,10 +183,10 @@ def payload_capacity(
     """
     Compute the largest payload that the robot can hold at rest within its effort limits.
 
-    The payload is a point mass at the origin of a link. It is added to the payload that the robot
-    already carries, and that `workspace` contains too. The capacity is valid for all poses of the
-    workspace, and for the worst pose that a search finds. Raises ConfigurationError if the link
-    does not exist.
+    The payload is a point mass at the origin of a link. The robot may already carry a payload,
+    which `workspace` contains too; the capacity is the mass that can be added. The capacity is
+    valid for all poses of the workspace, and for the worst pose that a search finds. Raises
+    ConfigurationError if the link does not exist.
 
     Gravity efforts are linear in the mass, so two efforts per pose determine the largest mass.
 
@@ -207,8 +202,13 @@ def payload_capacity(
     def masses(poses: Floats) -> Floats:
         """Return the mass that each joint can hold in each pose, shape (poses, joints) [kg]."""
         per_kilogram = laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
-        efforts = dynamics.gravity_efforts(poses)
-        return _largest_masses(efforts, per_kilogram, limits)
+        efforts, slope = dynamics.gravity_efforts(poses), np.abs(per_kilogram)
+        # Effort in the direction in which the payload acts.
+        used = efforts * np.sign(per_kilogram)
+        with np.errstate(divide='ignore', invalid='ignore'):
+            found = np.where(slope > 1e-12, (limits - used) / slope, math.inf)
+        found = np.where(np.isfinite(limits), np.maximum(found, 0.0), math.inf)
+        return np.where(np.abs(efforts) > limits, 0.0, found)
 
     def shortage(poses: Floats) -> Floats:
         least: Floats = np.min(masses(poses), axis=1)
@@ -219,28 +219,14 @@ def payload_capacity(
     start: Floats = workspace.poses[np.argmin(everywhere)]
     if math.isfinite(np.min(everywhere)):
         lower, upper = joint_ranges(robot)
-        body = int(robot.link_body[robot.link_index(link)])
-        on_path = np.zeros(len(start), dtype=bool)
-        on_path[[j for j in _path(robot, body) if j >= 0]] = True
-        start = _climb(shortage, start, np.flatnonzero(on_path), lower, upper)
+        path = path_to(robot, int(robot.link_body[robot.link_index(link)]))
+        start = _climb(shortage, start, np.unique(robot.joint_index[path]), lower, upper)
     allowed = masses(start[np.newaxis])[0]
     joint = int(np.argmin(allowed))
     mass = min(float(allowed[joint]), float(np.min(everywhere)))
     return PayloadCapacity(
         link, mass, robot.joint_names[joint] if mass < math.inf else None, start
     )
-
-
-def _largest_masses(efforts: Floats, per_kilogram: Floats, limits: Floats) -> Floats:
-    """Solve |efforts + mass * per_kilogram| = limits for the mass; 0 if there is no solution."""
-    slope = np.abs(per_kilogram)
-    # Effort in the direction in which the payload acts.
-    used = efforts * np.sign(per_kilogram)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        masses = np.where(slope > 1e-12, (limits - used) / slope, math.inf)
-    masses = np.where(np.isfinite(limits), masses, math.inf)
-    result: Floats = np.where(np.abs(efforts) > limits, 0.0, np.maximum(masses, 0.0))
-    return result
 
 
 def _climb(
@@ -281,18 +267,9 @@ def _related_joints(robot: RobotModel) -> Booleans:
     """Return which joints affect the gravity effort of each joint, shape (joints, joints)."""
     related = np.zeros((len(robot.joint_names), len(robot.joint_names)), dtype=bool)
     for body in range(1, len(robot.parent)):
-        path = _path(robot, body)
+        path = robot.joint_index[path_to(robot, body)]
         related[np.ix_(path, path)] = True
     return related
-
-
-def _path(robot: RobotModel, body: int) -> list[int]:
-    """List the joints between the base and a body."""
-    path = []
-    while body > 0:
-        path.append(int(robot.joint_index[body]))
-        body = int(robot.parent[body])
-    return path
 
 
 # ---- Trajectories --------------------------------------------------------------------------

@@ -15,8 +15,8 @@ from ..analysis.diagnosis import (
     FaultKind,
     friction_parameters,
     JointResidual,
-    Recording,
 )
+from ..analysis.recordings.signals import Recording
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict

@@ -20,7 +20,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from ..analysis.excitation import Excitation, find_excitation, motion_limits, States, whole_states
+from ..analysis.excitation.limits import motion_limits, States, whole_states
+from ..analysis.excitation.search import Excitation, find_excitation
 from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.result import calibrated_urdf, identified_parameters
 from ..analysis.recordings.measured_states import read_measured_states

@@ -9,18 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..analysis.excitation import (
-    DURATION,
-    Excitation,
-    find_excitation,
+from ..analysis.excitation.limits import (
     FRACTION,
-    HARMONICS,
     keep_clear,
     motion_limits,
     MotionLimits,
-    NOISE,
     whole_positions,
 )
+from ..analysis.excitation.search import DURATION, Excitation, find_excitation, HARMONICS, NOISE
 from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..errors import ConfigurationError

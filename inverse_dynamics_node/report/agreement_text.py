@@ -16,7 +16,9 @@ def sentence(agreement: Agreement) -> str:
     """Say whether model and robot agree, and if not, why; the text has no full stop at its end."""
     if agreement.obstacle is not None:
         return _OBSTACLES[agreement.obstacle](agreement)
-    return _differ(agreement) if agreement.faults else _agree(agreement)
+    if agreement.faults:
+        return _differ(agreement)
+    return f'model and robot agree: {_compared(agreement)}'
 
 
 def _differ(agreement: Agreement) -> str:
@@ -35,10 +37,6 @@ def _headline(fault: Fault) -> str:
     if fault.kind is not FaultKind.PAYLOAD or all(map(math.isnan, fault.values[1:])):
         return text
     return f'{text}, at {centre_of_mass(fault)} m in the frame of the link'
-
-
-def _agree(agreement: Agreement) -> str:
-    return f'model and robot agree: {_compared(agreement)}'
 
 
 def _few_joints(agreement: Agreement) -> str:

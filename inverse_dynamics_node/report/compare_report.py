@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..analysis.diagnosis import ComparisonResult, JointResidual, Motion
+from ..analysis.diagnosis import ComparisonResult, JointResidual
 from .diagnosis_text import amount, sentence
 from .tables import motion_notes, Table, with_error
 
@@ -38,8 +38,7 @@ def verdict(result: ComparisonResult) -> str:
     if all(joint.friction.unknown_because for joint in result.joints):
         text = f'{modelled[0].upper()}{modelled[1:]} Friction cannot be fitted.'
     if result.is_too_short:
-        motion = result.motion
-        seconds = motion.times[-1] - motion.times[0]
+        seconds = result.motion.times[-1] - result.motion.times[0]
         text += f' The recording is too short ({seconds:.2g} s) to diagnose a difference.'
     return text
 
@@ -61,7 +60,8 @@ def _total(result: ComparisonResult, name: str) -> str:
 
 def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     """Return measured and modelled efforts and the residuals, one row per joint."""
-    rows = [_row(joint) for joint in result.joints]
+    motion, rows = result.motion, [_row(joint) for joint in result.joints]
+    duration = motion.times[-1] - motion.times[0]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
                'explained', 'scale')  # fmt: skip
     corrections = ', offset and the findings above' if result.faults else ' and offset'
@@ -73,8 +73,8 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
         'effort is about scale * modelled effort + offset. Samples at rest are not used (except '
         'for joints with unknown friction), because dry friction at rest can have any value up '
         'to its maximum.',
-        _quality(result.motion),
-        *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(result.motion), *notes)),
+        f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.',
+        *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(motion), *notes)),
     )
     return Table('Measured against modelled efforts', columns, tuple(rows), remarks,
                  frozenset({1}))  # fmt: skip
@@ -94,11 +94,6 @@ def _row(joint: JointResidual) -> tuple[str, ...]:
         f'{explained} (noise)' if joint.rms_corrected < AT_NOISE * joint.noise else explained,
         _or_dash(joint.scale, '.3f'),
     )
-
-
-def _quality(motion: Motion) -> str:
-    duration = motion.times[-1] - motion.times[0]
-    return f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.'
 
 
 def friction_table(result: ComparisonResult) -> Table:

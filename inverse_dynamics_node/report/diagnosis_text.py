@@ -171,7 +171,7 @@ _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_I
 
 
 def _changes(fault: Fault) -> str:
-    """Say how far a model of the fault reduces the residuals; friction is fitted in both cases."""
+    """Say how much a model of the fault reduces the residuals; both fits include friction."""
     changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''

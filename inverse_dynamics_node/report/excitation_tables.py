@@ -6,15 +6,9 @@ import math
 
 import numpy as np
 
-from ..analysis.excitation import (
-    CANDIDATES,
-    Excitation,
-    expected_errors,
-    ExpectedErrors,
-    Extent,
-    Nearest,
-    SAMPLES_PER_SECOND,
-)
+from ..analysis.excitation.clearance import Extent, Nearest
+from ..analysis.excitation.information import expected_errors, ExpectedErrors
+from ..analysis.excitation.search import CANDIDATES, Excitation, SAMPLES_PER_SECOND
 from ..dynamics.trajectory import Trajectory
 from ..errors import listed
 from ..robot.model import Floats, RobotModel
@@ -31,9 +25,9 @@ def excitation_tables(
     """
     Describe an excitation motion, and the standard errors to expect after recording it.
 
-    `trajectory` is what the command writes, and may be slower than planned. `efforts` are
-    the modelled efforts, shape (points, joints) [N m or N]. `box` contains the moving links in all
-    poses.
+    `trajectory` is the motion that the command writes, which may be slower than planned. `efforts`
+    are the modelled efforts, shape (points, joints) [N m or N]. `box` contains the moving links in
+    all poses.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.identification import BodyResult, IdentificationResult, JointResult, Residuals
+from ..analysis.identification import BodyResult, IdentificationResult, JointResult
 from ..errors import significant
 from .tables import motion_notes, Table, with_error
 
@@ -58,7 +58,6 @@ def friction_table(result: IdentificationResult) -> Table:
         'the recordings. An armature or a load friction that does not improve the prediction is '
         'left out.',
         *_extra_notes(result),
-        *_gain_notes(result),
         *(
             f'{joint.name}: friction unknown, because {joint.unknown_because}.'
             for joint in result.joints
@@ -69,8 +68,8 @@ def friction_table(result: IdentificationResult) -> Table:
 
 
 def _extra_notes(result: IdentificationResult) -> list[str]:
-    """Return sentences about springs, square-root friction and coupled joints, which are rare."""
-    notes = []
+    """Return sentences about springs, square-root friction, coupled joints and gains."""
+    notes, gains = [], []
     for joint in result.joints:
         terms, unit = joint.terms, ('m' if joint.is_prismatic else 'rad')
         force = 'N' if joint.is_prismatic else 'N m'
@@ -92,36 +91,20 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
                 f'{terms.coupling:.3g} * the velocity of {joint.coupled_with[0]}; the drive acts '
                 'on both joints.'
             )
+        if joint.gain is not None:
+            gains.append(f'{joint.name} {significant(joint.gain, 4)}')
+    if gains:
+        notes.append(f'The efforts are currents times these gains: {", ".join(gains)}.')
     return notes
 
 
-def _gain_notes(result: IdentificationResult) -> list[str]:
-    gains = [
-        f'{joint.name} {significant(joint.gain, 4)}'
-        for joint in result.joints
-        if joint.gain is not None
-    ]
-    return [f'The efforts are currents times these gains: {", ".join(gains)}.'] if gains else []
-
-
 def _friction_row(joint: JointResult) -> tuple[str, ...]:
-    terms = joint.terms
-
-    def cell(name: str) -> str:
-        return (
-            with_error(getattr(terms, name), terms.errors[name]) if name in terms.errors else '-'
-        )
-
+    terms, cells = joint.terms, []
+    for name in ('damping', 'coulomb', 'load_friction', 'armature', 'offset'):
+        error = terms.errors.get(name)
+        cells.append('-' if error is None else with_error(getattr(terms, name), error))
     width = '-' if joint.unknown_because else f'{terms.width:.2g}'
-    return (
-        joint.name,
-        cell('damping'),
-        cell('coulomb'),
-        width,
-        cell('load_friction'),
-        cell('armature'),
-        cell('offset'),
-    )
+    return joint.name, *cells[:2], width, *cells[2:]
 
 
 def body_table(result: IdentificationResult) -> Table:
@@ -142,25 +125,22 @@ def body_table(result: IdentificationResult) -> Table:
         )
     columns = ('link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±',
                'on its own')  # fmt: skip
-    merged = [body for body in result.bodies if len(body.links) > 1]
     notes = [
         'On its own: how far the recordings determine this mass, whatever the other masses are; '
         'the rest of the information comes from the robot description. A mass that influences no '
         'effort keeps its value. Centres of mass are in the frame of the joint that moves the '
         'link.',
-        *(
-            [
-                '*: the recordings hardly determine this mass on its own. The mass changed '
-                'together with other parameters, because the efforts depend only on combinations '
-                'of parameters. The efforts are right, but the mass may be wrong.'
-            ]
-            if any(map(_follows_others, result.bodies))
-            else []
-        ),
-        *(
-            f'{body.link} stands for {", ".join(body.links)}, which fixed joints hold together.'
-            for body in merged
-        ),
+    ]
+    if any(map(_follows_others, result.bodies)):
+        notes.append(
+            '*: the recordings hardly determine this mass on its own. The mass changed together '
+            'with other parameters, because the efforts depend only on combinations of '
+            'parameters. The efforts are right, but the mass may be wrong.'
+        )
+    notes += [
+        f'{body.link} stands for {", ".join(body.links)}, which fixed joints hold together.'
+        for body in result.bodies
+        if len(body.links) > 1
     ]
     if result.fixed:
         notes.append(f'Links that keep their values: {", ".join(result.fixed)}.')
@@ -216,20 +196,7 @@ def as_json(result: IdentificationResult) -> dict[str, Any]:
             'unseen_data': result.unseen.description,
             'unseen_smoothing_window': result.unseen.smoothing,
             'joints': [_joint(joint) for joint in result.joints],
-            'bodies': [
-                {
-                    'link': body.link,
-                    'links': body.links,
-                    'mass_before': body.mass_before,
-                    'mass': body.mass if result.accepted else body.mass_before,
-                    'mass_error': body.mass_error,
-                    'com_before': body.com_before,
-                    'com': body.com if result.accepted else body.com_before,
-                    'com_error': body.com_error,
-                    'data_fraction': body.data_fraction,
-                }
-                for body in result.bodies
-            ],
+            'bodies': [_body(body, result.accepted) for body in result.bodies],
             'base_parameters': [
                 {'name': name, 'value': value, 'standard_error': error}
                 for name, value, error in result.base_parameters
@@ -238,7 +205,9 @@ def as_json(result: IdentificationResult) -> dict[str, Any]:
             'velocity_lags': result.signals[0].lags,
             'cut_off_frequency': result.signals[0].cut_off,
             'weight_of_urdf': result.urdf_weight,
-            'tried_weights': [{'weight': weight, 'loss': loss} for weight, loss in result.trials],
+            'tried_weights': [
+                {'weight': weight, 'loss': loss} for weight, loss in result.trials.items()
+            ],
             'effort_delay': result.delay,
             'effort_delay_error': result.delay_error,
             'effort_delay_removed': result.delay_removed,
@@ -253,38 +222,25 @@ def as_json(result: IdentificationResult) -> dict[str, Any]:
     return report
 
 
+def _body(body: BodyResult, accepted: bool) -> dict[str, Any]:
+    kept = {} if accepted else {'mass': body.mass_before, 'com': body.com_before}
+    return {**vars(body), **kept}
+
+
 def _joint(joint: JointResult) -> dict[str, Any]:
-    terms = joint.terms
+    keys = {'width': 'coulomb_width', 'errors': 'standard_errors'}
     return {
         'name': joint.name,
         'unit': joint.unit,
         'measured': joint.measured,
-        **_residuals(joint.unseen),
+        **vars(joint.unseen),
         'identified_unsmoothed': joint.unsmoothed,
         'noise': joint.noise,
-        'training': _residuals(joint.training),
-        'damping': terms.damping,
-        'coulomb': terms.coulomb,
-        'coulomb_width': terms.width,
-        'load_friction': terms.load_friction,
-        'sqrt_damping': terms.sqrt_damping,
-        'armature': terms.armature,
-        'coupling': terms.coupling,
-        'stiffness': terms.stiffness,
-        'rest': terms.rest,
-        'offset': terms.offset,
-        'standard_errors': terms.errors,
+        'training': vars(joint.training),
+        **{keys.get(name, name): value for name, value in vars(joint.terms).items()},
         'friction_unknown_because': joint.unknown_because,
         'coupled_with': joint.coupled_with,
         'gain': joint.gain,
-    }
-
-
-def _residuals(residuals: Residuals) -> dict[str, float]:
-    return {
-        'urdf': residuals.urdf,
-        'friction': residuals.friction,
-        'identified': residuals.identified,
     }
 
 

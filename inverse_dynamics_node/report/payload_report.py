@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from ..analysis.payload import PayloadEstimate
-from ..robot.model import Floats, RobotModel
+from ..analysis.recordings.signals import rms
+from ..robot.model import RobotModel
 from .diagnosis_text import amount, listed
 from .tables import Table, with_error
 
@@ -44,7 +43,7 @@ def payload_table(
     """Return the efforts of the payload and the residuals; the notes describe the recordings."""
     rows = []
     for name, measured, left in zip(
-        result.joint_names, _rms(result.fitted), _rms(result.residuals), strict=True
+        result.joint_names, rms(result.fitted), rms(result.residuals), strict=True
     ):
         slides = bool(robot.is_prismatic_joint[robot.joint_names.index(name)])
         rows.append((name, amount(measured, slides), amount(left, slides)))
@@ -78,7 +77,8 @@ def inertia_table(result: PayloadEstimate) -> Table:
 def topic_command(result: PayloadEstimate, node: str) -> str:
     """Return the command that publishes the payload to a node."""
     mass, com, inertia = result.body
-    numbers = [f'm: {mass:.4g}', f'com: {_mapping("xyz", com)}']
+    x, y, z = com
+    numbers = [f'm: {mass:.4g}', f'com: {{x: {x:.4f}, y: {y:.4f}, z: {z:.4f}}}']
     numbers += [f'{name}: {value:.4g}' for name, value in _moments(inertia)]
     message = f'{{header: {{frame_id: {result.link}}}, inertia: {{{", ".join(numbers)}}}}}'
     return f"ros2 topic pub --once {node}/payload geometry_msgs/msg/InertiaStamped '{message}'"
@@ -117,21 +117,12 @@ def as_json(result: PayloadEstimate, apparent: PayloadEstimate | None) -> dict[s
             {'name': name, 'payload': measured, 'left': left}
             for name, measured, left in zip(
                 result.joint_names,
-                _rms(result.fitted).tolist(),
-                _rms(result.residuals).tolist(),
+                rms(result.fitted).tolist(),
+                rms(result.residuals).tolist(),
                 strict=True,
             )
         ],
     }
-
-
-def _rms(signals: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.mean(signals**2, axis=0)))
-
-
-def _mapping(names: str, values: Floats) -> str:
-    pairs = (f'{name}: {value:.4f}' for name, value in zip(names, values, strict=True))
-    return f'{{{", ".join(pairs)}}}'
 
 
 def _moments(inertia: Any) -> list[tuple[str, float]]:

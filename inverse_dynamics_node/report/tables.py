@@ -7,7 +7,7 @@ same lines in colours.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from enum import auto, Enum
 import math
 import textwrap
@@ -64,17 +64,17 @@ class Line(NamedTuple):
     style: Style
 
 
-def as_text(table: Table, width: int = WIDTH, whole_names: bool = False) -> str:
+def as_text(table: Table, whole_names: bool = False) -> str:
     """Format a table as plain text without a final line end; see `table_lines`."""
-    return '\n'.join(line.text for line in table_lines(table, width, whole_names))
+    return '\n'.join(line.text for line in table_lines(table, WIDTH, whole_names))
 
 
 def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> list[Line]:
     """
     Format a table in lines of at most `width` characters.
 
-    With `whole_names`, no name is shortened, and lines can be longer than `width`: use it if a
-    program reads the lines.
+    With `whole_names`, no name is shortened, and lines can be longer than `width`. Use this option
+    if a program reads the lines.
     """
     lines = [Line(escaped(table.title), Style.TITLE)]
     if table.rows:
@@ -127,9 +127,9 @@ def warnings_about(robot: RobotModel) -> tuple[ModelWarning, ...]:
     return (*robot.warnings, *effort_limit_warnings(robot))
 
 
-def warnings_as_text(warnings: Sequence[ModelWarning], width: int = WIDTH) -> str:
+def warnings_as_text(warnings: Sequence[ModelWarning]) -> str:
     """Format warnings as plain text, grouped by their hints."""
-    return '\n'.join(line.text for line in warning_lines(warnings, width))
+    return '\n'.join(line.text for line in warning_lines(warnings))
 
 
 def warning_lines(warnings: Sequence[ModelWarning], width: int = WIDTH) -> list[Line]:
@@ -138,18 +138,14 @@ def warning_lines(warnings: Sequence[ModelWarning], width: int = WIDTH) -> list[
         return [Line('No warnings.', Style.NO_WARNINGS)]
     plural = 's' if len(warnings) > 1 else ''
     lines = [Line(f'{len(warnings)} warning{plural}', Style.WARNINGS)]
-    for hint, group in _by_hint(warnings).items():
+    groups: dict[str, list[ModelWarning]] = {}
+    for warning in warnings:
+        groups.setdefault(warning.hint, []).append(warning)
+    for hint, group in groups.items():
         for warning in group:
             lines += [Line(x, Style.WARNING) for x in wrapped(str(warning), width, '  ', '    ')]
         lines += [Line(x, Style.HINT) for x in wrapped(hint, width, '    -> ', '       ')]
     return lines
-
-
-def _by_hint(warnings: Iterable[ModelWarning]) -> dict[str, list[ModelWarning]]:
-    groups: dict[str, list[ModelWarning]] = {}
-    for warning in warnings:
-        groups.setdefault(warning.hint, []).append(warning)
-    return groups
 
 
 # ---- Names ---------------------------------------------------------------------------------
@@ -218,12 +214,12 @@ def fraction(effort: float, limit: float) -> str:
     return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
 
 
-def decimals(values: Floats, digits: int = 4) -> int:
-    """Return the number of decimals, 1 to 6, that shows `digits` digits of the largest value."""
+def decimals(values: Floats) -> int:
+    """Return the number of decimals, 1 to 6, that shows four digits of the largest value."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
-    return min(6, max(1, digits - 1 - math.floor(math.log10(largest))))
+    return min(6, max(1, 3 - math.floor(math.log10(largest))))
 
 
 def with_error(value: float, error: float) -> str:

@@ -156,16 +156,14 @@ def _surface(shape: Shape) -> Floats:
     spacing = max(_SPACING[0], _SPACING[1] * float(np.ptp(shape.vertices, axis=0).max()))
     vertices, _ = trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, spacing, 20)
     _, first = np.unique(np.round(vertices / spacing), axis=0, return_index=True)
-    points: Floats = np.asarray(vertices)[first]
-    return points
+    return np.asarray(vertices)[first]
 
 
 def _distances(points: Floats, ends: Floats) -> Floats:
     """Return the distances of k points, shape (k, 3), to a segment."""
     along = ends[1] - ends[0]
     places = np.clip((points - ends[0]) @ along / max(along @ along, 1e-12), 0.0, 1.0)
-    distances: Floats = np.linalg.norm(points - ends[0] - np.outer(places, along), axis=1)
-    return distances
+    return np.asarray(np.linalg.norm(points - ends[0] - np.outer(places, along), axis=1))
 
 
 def _pieces(shape: Shape) -> list[_Piece]:

@@ -19,6 +19,15 @@ _FINGER_FRACTION = 0.3
 """A branch at the end of an arm is a finger if it is shorter than this fraction of the arm."""
 
 
+def path_to(robot: RobotModel, body: int) -> list[int]:
+    """Return the bodies from the first one after the base to the given body; none for the base."""
+    path: list[int] = []
+    while body > 0:
+        path.insert(0, body)
+        body = int(robot.parent[body])
+    return path
+
+
 def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     """
     Return rotations and origins [m] of the frames of all b bodies, in the base frame.
@@ -101,13 +110,8 @@ def last_link(robot: RobotModel) -> str:
     """
     if 'tool0' in robot.link_names:
         return 'tool0'
-    depth = np.zeros(len(robot.parent), dtype=int)
-    for body in range(1, len(robot.parent)):
-        depth[body] = depth[robot.parent[body]] + 1
-    chain = [int(np.argmax(depth))]
-    while chain[-1] > 0:
-        chain.append(int(robot.parent[chain[-1]]))
-    body = _without_fingers(robot, chain[-2::-1]) if len(chain) > 1 else 0
+    chain = max((path_to(robot, body) for body in range(len(robot.parent))), key=len)
+    body = _without_fingers(robot, chain) if chain else 0
     links = [robot.link_names[int(k)] for k in np.flatnonzero(robot.link_body == body)]
     return ([name for name in links if not _FINGER.search(name)] or links)[-1]
 

@@ -10,10 +10,9 @@ from inverse_dynamics_node.analysis.diagnosis import (
     friction_parameters,
     FrictionFit,
     GravityConvention,
-    Recording,
 )
 from inverse_dynamics_node.analysis.diagnosis.loads import tip_links
-from inverse_dynamics_node.analysis.recordings.signals import derive
+from inverse_dynamics_node.analysis.recordings.signals import derive, Recording
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.errors import ConfigurationError, RecordingError
 from inverse_dynamics_node.report.diagnosis_text import headline

@@ -3,18 +3,15 @@
 from dataclasses import replace
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.excitation import (
-    CLEARANCE,
-    find_excitation,
+from inverse_dynamics_node.analysis.excitation import clearance as clearances
+from inverse_dynamics_node.analysis.excitation import search
+from inverse_dynamics_node.analysis.excitation.clearance import CLEARANCE, find_clearance
+from inverse_dynamics_node.analysis.excitation.limits import (
     keep_clear,
     motion_limits,
-    search,
     whole_positions,
 )
-from inverse_dynamics_node.analysis.excitation import (
-    clearance as clearances,
-)
-from inverse_dynamics_node.analysis.excitation.clearance import find_clearance
+from inverse_dynamics_node.analysis.excitation.search import find_excitation
 from inverse_dynamics_node.robot.capsules import body_capsules
 from inverse_dynamics_node.robot.kinematics import body_frames
 from inverse_dynamics_node.robot.urdf.shapes import read_shapes

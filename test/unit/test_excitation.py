@@ -3,16 +3,11 @@
 import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.excitation import (
-    expected_errors,
-    find_excitation,
-    FourierSeries,
-    motion_limits,
-    SAMPLES_PER_SECOND,
-    search,
-    States,
-    whole_states,
-)
+from inverse_dynamics_node.analysis.excitation import search
+from inverse_dynamics_node.analysis.excitation.fourier import FourierSeries
+from inverse_dynamics_node.analysis.excitation.information import expected_errors
+from inverse_dynamics_node.analysis.excitation.limits import motion_limits, States, whole_states
+from inverse_dynamics_node.analysis.excitation.search import find_excitation, SAMPLES_PER_SECOND
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

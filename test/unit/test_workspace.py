@@ -1,5 +1,6 @@
 """Gravity efforts over the workspace, and the payload capacity."""
 
+from dataclasses import replace
 import math
 
 from inverse_dynamics_node.analysis.sizing import (
@@ -102,15 +103,19 @@ def test_a_present_payload_reduces_the_capacity():
     assert after.mass == pytest.approx(before.mass - 1.0, rel=1e-3)
 
 
+def with_limits(limits):
+    return InverseDynamics(replace(ARM.robot, effort_limits=np.array(limits)))
+
+
 def test_capacity_is_zero_if_gravity_alone_exceeds_a_limit():
     limits = [60.0, 10.0, 200.0, 10.0, 10.0, 5.0]
-    workspace = explore(ARM, samples=64, effort_limits=limits)
+    workspace = explore(with_limits(limits), samples=64)
     payload = payload_capacity(ARM, workspace, 'tool0')
     assert (payload.mass, payload.joint) == (0.0, 'joint_2')
 
 
 def test_capacity_is_infinite_without_limits():
-    workspace = explore(ARM, samples=64, effort_limits=[math.inf] * 6)
+    workspace = explore(with_limits([math.inf] * 6), samples=64)
     assert payload_capacity(ARM, workspace, 'tool0')[1:3] == (math.inf, None)
     assert workspace.robot.joint_names[workspace.hardest] == 'joint_3'
 

@@ -1,6 +1,5 @@
 """Compares recordings with the model: derives the motion, fits friction, diagnoses differences."""
 
-from ..recordings.signals import Motion, Recording
 from .fault import Change, Fault, FaultKind, GravityConvention
 from .friction import friction_parameters, FrictionFit
 from .recording import ComparisonResult, diagnose_recording, JointResidual
@@ -13,8 +12,6 @@ __all__ = [
     'FrictionFit',
     'GravityConvention',
     'JointResidual',
-    'Motion',
-    'Recording',
     'diagnose_recording',
     'friction_parameters',
 ]

@@ -1,5 +1,5 @@
 """
-Checks whether several links have wrong inertial parameters, and which other causes exist.
+Checks whether several links have wrong inertial parameters, and whether other causes exist.
 
 The parameters of all links are fitted near their values in the model, together with friction,
 rotors and offsets. The fit uses one half of the recording. If the fitted links predict the other
@@ -16,6 +16,7 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, Integers
+from .compared_efforts import ComparedEfforts
 from .fault import FaultKind
 from .intervals import FaultInterval
 from .joint_samples import (
@@ -118,28 +119,29 @@ class Bodies(NamedTuple):
 
 
 def fit_bodies(
-    data: RegressionData,
-    robot_fit: RobotFit,
-    dynamics: InverseDynamics,
-    states: tuple[Floats, Floats, Floats],
-    rows: list[Booleans],
-    index: list[int],
-    rates: Floats,
+    compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
 ) -> Bodies | None:
     """
-    Fit all links to the efforts of n joints; return None if the samples are not sufficient.
+    Fit the inertial parameters of all links; return None if the samples are not sufficient.
 
-    `states` are q, qd and qdd of the whole robot at the K times, each of shape (K, N). For each
-    joint, `rows` selects the times of its samples, shape (K,), and `index` is its index in the
-    model. `rates` are the time derivatives of the explained efforts, shape (K, n) [N m/s or N/s].
+    `data` are the samples of the compared efforts, and `robot_fit` is the explanation so far.
     """
-    moving = [j for j, samples in enumerate(data.joints) if samples.moves]
-    if data.is_too_short or not moving:
+    if data.is_too_short or data.is_at_rest:
         return None
+    plain = data.friction_only()
+    is_plain = (
+        robot_fit.source == plain.source
+        and not data.contradicts(robot_fit.candidate)
+        and not robot_fit.is_scaled
+        and not any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
+    )
+    # Wrong links may look like a wrong sign, unit or order, but not the other way round.
+    starts = (robot_fit,) if is_plain else (plain, robot_fit)
     # A driver compensates gravity with the real links, or with the links of the model.
     found = [
-        _Problem(data, robot_fit, dynamics, states, rows, index, rates, moving, own).solve()
-        for own in ((True,) if robot_fit.candidate.has_gravity else (False, True))
+        _Problem(compared, data, start, has_own_gravity).solve()
+        for start in starts
+        for has_own_gravity in ((True,) if start.candidate.has_gravity else (False, True))
     ]
     return min(found, key=lambda each: each.unexplained_anywhere)
 
@@ -154,19 +156,18 @@ class _Problem:
 
     def __init__(
         self,
+        compared: ComparedEfforts,
         data: RegressionData,
         robot_fit: RobotFit,
-        dynamics: InverseDynamics,
-        states: tuple[Floats, Floats, Floats],
-        rows: list[Booleans],
-        index: list[int],
-        rates: Floats,
-        moving: list[int],
         has_own_gravity: bool,
     ) -> None:
+        dynamics, states = compared.dynamics, compared.fit_states
+        rates = compared.rates(robot_fit)[compared.fit_samples]
+        moving = [j for j, samples in enumerate(data.joints) if samples.moves]
         fits = tuple(_without_doubtful_scale(fit) for fit in robot_fit.fits)
         robot_fit = data.refit(robot_fit._replace(fits=fits))
         self.data, self.robot_fit, self.moving = data, robot_fit, moving
+        self.squares = {j: data.square(robot_fit, j) for j in moving}
         every = max(1, len(states[0]) // MOST_SAMPLES)
         chosen: Integers = np.arange(0, len(states[0]), every)
         q, qd, qdd = (np.ascontiguousarray(x[chosen]) for x in states)
@@ -186,10 +187,11 @@ class _Problem:
         parts, targets, joints, times = [], [], [], []
         for position, j in enumerate(moving):
             samples, fit = data.joints[j], robot_fit.fits[j]
-            used = rows[j][chosen]
-            columns = samples.columns[np.cumsum(rows[j])[chosen[used]] - 1]
+            rows = compared.used(compared.varying[j])[compared.fit_samples]
+            used = rows[chosen]
+            columns = samples.columns[np.cumsum(rows)[chosen[used]] - 1]
             matrix = np.zeros((len(columns), self.delay + 1))
-            matrix[:, : self.width] = regressor[used, index[j]]
+            matrix[:, : self.width] = regressor[used, compared.index[compared.varying[j]]]
             own = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
             matrix[:, self.own[position] : self.own[position] + 4] = own
             matrix[:, self.gravity : self.gravity + 3] = columns[:, WEIGHT : WEIGHT + 3]
@@ -203,7 +205,7 @@ class _Problem:
             targets.append(target - columns[:, : data.first_measured] @ base.weights)
             parts.append(matrix)
             joints.append(np.full(len(columns), position))
-            times.append(chosen[used] / len(rows[j]))
+            times.append(chosen[used] / len(rows))
         self.matrix, self.target = np.vstack(parts), np.concatenate(targets)
         self.joint, time = np.concatenate(joints), np.concatenate(times)
         self.segment = (time * SEGMENTS).astype(int)
@@ -234,7 +236,7 @@ class _Problem:
         deviation[: self.width] = (masses[:, None] * size).reshape(-1)
         for position, j in enumerate(self.moving):
             columns = self.data.joints[j].squares[[SPEED, DIRECTION, ACCELERATION, ONE]]
-            ratio = np.array([FRICTION, FRICTION, 1.0, OFFSET]) * math.sqrt(self._square(j))
+            ratio = np.array([FRICTION, FRICTION, 1.0, OFFSET]) * math.sqrt(self.squares[j])
             own = slice(self.own[position], self.own[position] + 4)
             deviation[own] = ratio / np.sqrt(np.maximum(columns, 1e-12))
         for first in range(self.payloads, self.delay, 4):
@@ -246,11 +248,6 @@ class _Problem:
         known = slice(self.gravity, self.gravity + 3)
         prior[known, known] += np.outer(*2 * [self.data.gravity]) / (STRENGTH * g_0**2) ** 2
         return prior
-
-    def _square(self, j: int) -> float:
-        """Return the mean square of the effort of a joint in the unit of the model."""
-        measured = self.data.first_measured + self.robot_fit.source[j]
-        return float(self.data.joints[j].squares[measured]) / self.robot_fit.factor(j) ** 2
 
     def solve(self) -> Bodies:
         """Fit the links, and choose which other causes to add."""
@@ -272,7 +269,7 @@ class _Problem:
         for position, j in enumerate(self.moving):
             own = int(self.own[position]) + 3
             other = self._best_fit(_with(fit.used, slice(own, own + 1)), system)
-            is_large = abs(other.solution[own]) > MIN_OFFSET * math.sqrt(self._square(j))
+            is_large = abs(other.solution[own]) > MIN_OFFSET * math.sqrt(self.squares[j])
             if is_large and other.evidence > fit.evidence + NEEDED:
                 fit = other
         return self._bodies(fit, weights, candidate)
@@ -318,8 +315,8 @@ class _Problem:
             return np.asarray(sums / np.maximum(np.bincount(of, weights, count), 1e-12))
 
         fits, moving = self.robot_fit.fits, self.moving
-        square = np.array([self._square(j) for j in moving])
-        floor = np.array([self._floor(j) for j in moving]) * square
+        square = np.array([self.squares[j] for j in moving])
+        floor = np.array([self.data.floor(self.robot_fit, j) for j in moving]) * square
         variance = np.array([fits[j].remaining for j in moving]) * square + floor
         trust = np.ones(len(self.target))
         for _ in range(ROUNDS):
@@ -333,9 +330,6 @@ class _Problem:
             trust = (1.0 / (1.0 + loudness**2))[self.segment]
             variance = mean(self.joint, residual**2, trust, len(moving)) + floor
         return np.asarray(trust / variance[self.joint] / self.dependence)
-
-    def _floor(self, j: int) -> float:
-        return self.data.joints[j].floor(self.data.first_measured + self.robot_fit.source[j])
 
     def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
         """Return a model with a fitted cause; None if the cause is impossible or uncertain."""
@@ -364,7 +358,7 @@ class _Problem:
         fits = list(data.refit(before, self.base).fits)
         left, anywhere = fits.copy(), fits.copy()
         for position, j in enumerate(self.moving):
-            own, square = self.joint == position, self._square(j)
+            own, square = self.joint == position, self.squares[j]
             squares = residual[own] ** 2
             weighted = float(np.average(squares, weights=weights[own]))
             after[j] = math.sqrt(weighted) * before.factor(j)
@@ -394,7 +388,7 @@ class _Problem:
         rotor = int(self.own[position]) + 2
         size = math.sqrt(float(self.data.joints[j].squares[ACCELERATION])) * fit.solution[rotor]
         is_certain = fit.solution[rotor] > CERTAIN * fit.errors[rotor]
-        return bool(is_certain and size > ROTOR * math.sqrt(self._square(j)))
+        return bool(is_certain and size > ROTOR * math.sqrt(self.squares[j]))
 
 
 class _Fit(NamedTuple):

@@ -6,7 +6,6 @@ from copy import copy
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
@@ -37,11 +36,10 @@ class ComparedEfforts:
     Measured and modelled efforts of one motion, with one column for each compared joint.
 
     The motion contains m of the n joints of the robot, and `index` holds their indices in
-    ``robot.joint_names``. Joints that were not recorded have the positions `others`, shape (n,)
-    [rad or m]; default: zero. The dynamics include all known loads; an unknown load may be on
-    `link`, by default on the tips of the tree. `width` is the speed over which Coulomb friction is
-    smoothed [rad/s or m/s]. The `convention` says whether measured efforts contain gravity, and
-    the modelled efforts follow the convention.
+    ``robot.joint_names``. Joints that were not recorded are assumed to rest at zero. The dynamics
+    include all known loads; an unknown load may be on `link`, by default on the tips of the tree.
+    `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s]. The `convention`
+    says whether measured efforts contain gravity, and the modelled efforts follow the convention.
     """
 
     def __init__(
@@ -49,19 +47,16 @@ class ComparedEfforts:
         dynamics: InverseDynamics,
         motion: Motion,
         index: list[int],
-        others: ArrayLike | None,
         link: str | None,
         width: float,
         convention: GravityConvention,
     ) -> None:
         self.dynamics, self.motion = dynamics, motion
         self.width, self.convention = width, convention
-        self._arguments = index, others, link, width, convention
+        self._arguments = index, link, width, convention
         robot = self.robot = dynamics.robot
         K, n = len(motion.times), len(robot.joint_names)
         q, qd, qdd = np.zeros((3, K, n))
-        if others is not None:
-            q[:] = others
         q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
         self.states = q, qd, qdd
         self.all_index = index
@@ -200,10 +195,7 @@ class ComparedEfforts:
         inertia = self.dynamics.mass_matrix(self.states[0][some])
         modelled: Floats = inertia[:, :, self.all_index] * self.motion.qdd_noise
         squares: Floats = np.mean(np.sum(modelled**2, axis=-1), axis=0)
-        noise: Floats = np.hypot(
-            np.sqrt(squares[self.index]), self.motion.effort_noise[self.compared]
-        )
-        return noise
+        return np.hypot(np.sqrt(squares[self.index]), self.motion.effort_noise[self.compared])
 
     def _varying(self) -> list[int]:
         """Return the columns in which the measured effort varies by more than rounding errors."""
@@ -330,15 +322,10 @@ def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
     return reasons
 
 
-def load_on_gears(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
-    """Return the magnitude of the modelled efforts without friction and rotors, shape (K, c)."""
-    return np.abs(compared.rigid + added_efforts(compared, robot_fit))
-
-
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit a shape to each known friction; `load_on_gears` returns the `load`."""
+    """Fit a shape to each known friction, given the loads on the gears, shape (K, c)."""
     return [
         fit_shape(
             fit,
@@ -370,12 +357,3 @@ def with_friction_only(compared: ComparedEfforts) -> Floats:
         efforts[:, c] += fit.damping * compared.qd[:, c]
         efforts[:, c] += fit.coulomb * compared.direction[:, c]
     return efforts
-
-
-def when_comparable(compared: ComparedEfforts, fits: list[FrictionFit]) -> list[Booleans]:
-    """Return the samples of each joint at which its fitted friction is valid."""
-    every = np.ones(len(compared.qd), dtype=bool)
-    return [
-        every if fit.unknown_because else is_moving(compared.qd[:, c], compared.width)
-        for c, fit in enumerate(fits)
-    ]

@@ -53,7 +53,7 @@ def search_axes(
     `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
     """
     best = Axes(np.ones(len(data.joints)), data, data.explain())
-    while not data.is_too_short and _is_open(best):
+    while not data.is_too_short and best.data.is_open(best.robot_fit, NOT_EXPLAINED, LARGE):
         trials = []
         for j, samples in enumerate(data.joints):
             signs = best.signs.copy()
@@ -71,52 +71,40 @@ def search_axes(
     return best
 
 
-def _is_open(axes: Axes) -> bool:
-    """Return whether the effort of a moving joint is not explained."""
-    data, fit = axes.data, axes.robot_fit
-    for samples, each, source in zip(data.joints, fit.fits, fit.source, strict=True):
-        floor = samples.floor(data.first_measured + source)
-        if samples.moves and each.remaining > max(floor, min(NOT_EXPLAINED * floor, LARGE)):
-            return True
-    return False
-
-
 # ---- Faults --------------------------------------------------------------------------------
 
 
 def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
     """Return the faults in an explanation, most important first."""
     found = _Faults(data, robot_fit, names)
-    return [
-        *found.order(),
-        *found.other_gravity(),
-        *found.mounting(),
-        *found.unit(),
-        *found.sensor_fault(FaultKind.SIGN, 'is_swapped'),
-        *found.sensor_fault(FaultKind.SCALE, 'is_scaled'),
-        *found.payload(),
-        *found.sensor_fault(FaultKind.ROTOR_INERTIA, 'has_rotor'),
-        *found.sensor_fault(FaultKind.OFFSET, 'has_offset'),
-        *found.unexplained(),
-    ]
+    faults = (
+        found.order(),
+        found.other_gravity(),
+        found.mounting(),
+        found.unit(),
+        found.sensor_fault(FaultKind.SIGN, 'is_swapped'),
+        found.sensor_fault(FaultKind.SCALE, 'is_scaled'),
+        found.payload(),
+        found.sensor_fault(FaultKind.ROTOR_INERTIA, 'has_rotor'),
+        found.sensor_fault(FaultKind.OFFSET, 'has_offset'),
+        found.unexplained(),
+    )
+    return [fault for fault in faults if fault is not None]
 
 
-def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Fault]:
+def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> Fault:
     """Return the fault that acts during an interval of the recording."""
     if fault.kind is FaultKind.MOUNTING and fault.gravity is not None:
         angles = [angle_between(each, fault.data.gravity) for each in fault.gravity]
         steepest = int(np.argmax(angles))
         values = tuple(fault.gravity[steepest].tolist())
-        return [
-            Fault(
-                FaultKind.MOUNTING, values=values, angle=angles[steepest], interval=fault.interval
-            )
-        ]
-    if fault.kind is FaultKind.PAYLOAD:
-        (payload,) = _Faults(fault.data, fault.outside, names).payload()
-        return [payload._replace(interval=fault.interval)]
-    joints = tuple(names[j] for j in fault.joints)
-    return [Fault(FaultKind.EXTERNAL_FORCE, joints, interval=fault.interval)]
+        found: Fault | None = Fault(FaultKind.MOUNTING, values=values, angle=angles[steepest])
+    elif fault.kind is FaultKind.PAYLOAD:
+        found = _Faults(fault.data, fault.outside, names).payload()
+    else:
+        found = Fault(FaultKind.EXTERNAL_FORCE, tuple(names[j] for j in fault.joints))
+    assert found is not None
+    return found._replace(interval=fault.interval)
 
 
 def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Fault:
@@ -191,25 +179,23 @@ class _Faults:
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
         return _changes(self.data, self.names, before, after, self.robot_fit.source)
 
-    def order(self) -> list[Fault]:
+    def order(self) -> Fault | None:
         source = self.robot_fit.source
         moved = [j for j, i in enumerate(source) if i != j]
         if not moved:
-            return []
+            return None
         samples, first = self.data.joints, self.data.first_measured
         weights = self.robot_fit.candidate.weights
         fits = list(self.fits)
         for j in moved:
             fits[j] = samples[j].fit(weights, first + j, NO_FAULT)
         without = self.robot_fit._replace(fits=tuple(fits))
-        return [
-            Fault(
-                FaultKind.ORDER,
-                tuple(self.names[j] for j in moved),
-                changes=self.changes(without),
-                sources=tuple(self.names[source[j]] for j in moved),
-            )
-        ]
+        return Fault(
+            FaultKind.ORDER,
+            tuple(self.names[j] for j in moved),
+            changes=self.changes(without),
+            sources=tuple(self.names[source[j]] for j in moved),
+        )
 
     def _without_candidate(self) -> RobotFit:
         candidate = self.robot_fit.candidate
@@ -218,110 +204,100 @@ class _Faults:
             base = self.data.other_gravity()
         return self.data.refit(self.robot_fit, candidate=base)
 
-    def other_gravity(self) -> list[Fault]:
+    def other_gravity(self) -> Fault | None:
         """Return the fault of measured efforts that unexpectedly lack or contain gravity."""
         candidate, other = self.robot_fit.candidate, self.data.other_gravity()
         if other.kind is None or not self.data.contradicts(candidate):
-            return []
+            return None
         weights = candidate.weights - other.weights + self.data.nominal.weights
         without = self.data.refit(self.robot_fit, candidate=candidate._replace(weights=weights))
         is_commanded = self.data.convention.in_commands
-        return [Fault(other.kind, changes=self.changes(without), is_commanded=is_commanded)]
+        return Fault(other.kind, changes=self.changes(without), is_commanded=is_commanded)
 
-    def mounting(self) -> list[Fault]:
+    def mounting(self) -> Fault | None:
         candidate = self.robot_fit.candidate
         if candidate.kind is not FaultKind.MOUNTING:
-            return []
-        return [
-            Fault(
-                FaultKind.MOUNTING,
-                values=candidate.solution,
-                changes=self.changes(self._without_candidate()),
-                angle=angle_between(candidate.solution, self.data.gravity),
-            )
-        ]
+            return None
+        return Fault(
+            FaultKind.MOUNTING,
+            values=candidate.solution,
+            changes=self.changes(self._without_candidate()),
+            angle=angle_between(candidate.solution, self.data.gravity),
+        )
 
-    def payload(self) -> list[Fault]:
+    def payload(self) -> Fault | None:
         candidate = self.robot_fit.candidate
         if candidate.kind is not FaultKind.PAYLOAD:
-            return []
+            return None
         mass, *com = candidate.solution
         known = [
             x if error < MAX_COM_ERROR else math.nan
             for x, error in zip(com, candidate.errors[1:], strict=True)
         ]
-        return [
-            Fault(
-                FaultKind.PAYLOAD,
-                values=(mass, *known),
-                changes=self.changes(self._without_candidate()),
-                error=candidate.errors[0],
-                link=candidate.link,
-            )
-        ]
+        return Fault(
+            FaultKind.PAYLOAD,
+            values=(mass, *known),
+            changes=self.changes(self._without_candidate()),
+            error=candidate.errors[0],
+            link=candidate.link,
+        )
 
-    def unit(self) -> list[Fault]:
+    def unit(self) -> Fault | None:
         factor = self.robot_fit.unit
         if factor == 1.0:
-            return []
+            return None
         without = self.data.refit(self.robot_fit._replace(unit=1.0))
-        return [
-            Fault(
-                FaultKind.UNIT,
-                tuple(self.names),
-                (factor,),
-                self.changes(without),
-                is_every_joint=True,
-            )
-        ]
+        return Fault(
+            FaultKind.UNIT,
+            tuple(self.names),
+            (factor,),
+            self.changes(without),
+            is_every_joint=True,
+        )
 
-    def sensor_fault(self, kind: FaultKind, flag: str) -> list[Fault]:
+    def sensor_fault(self, kind: FaultKind, flag: str) -> Fault | None:
         """Return one fault that lists all joints with this kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
-            return []
+            return None
         joints = tuple(self.names[j] for j in found)
         friction_only = [
             name for fit, name in zip(self.fits, self.names, strict=True) if fit.is_friction_only
         ]
-        return [
-            Fault(
-                kind,
-                joints,
-                tuple(_value(self.fits[j], kind) for j in found),
-                self.changes(self.data.refit(self.robot_fit, without=flag)),
-                unknown=tuple(friction_only) if kind is FaultKind.SCALE else (),
-                is_every_joint=len(joints) > 1 and set(self.relevant) <= set(joints),
-                is_motor_side=self.is_motor_side,
-            )
-        ]
+        return Fault(
+            kind,
+            joints,
+            tuple(_value(self.fits[j], kind) for j in found),
+            self.changes(self.data.refit(self.robot_fit, without=flag)),
+            unknown=tuple(friction_only) if kind is FaultKind.SCALE else (),
+            is_every_joint=len(joints) > 1 and set(self.relevant) <= set(joints),
+            is_motor_side=self.is_motor_side,
+        )
 
-    def unexplained(self) -> list[Fault]:
+    def unexplained(self) -> Fault | None:
         """Return a fault for unexplained efforts; at rest, only if most effort is unexplained."""
         if self.data.is_too_short:
-            return []
+            return None
         left = [
             (j, fit)
             for j, fit in enumerate(self.fits)
-            if fit.remaining > max(CREDIBLE, self.data.joints[j].floor(self._measured(j)))
+            if fit.remaining > max(CREDIBLE, self.data.floor(self.robot_fit, j))
         ]
         # The effort of a joint at rest also contains an unknown dry friction.
         found = [(j, fit) for j, fit in left if fit.moves]
         if not found and self.data.unexplained(self.robot_fit) > MOST_UNEXPLAINED:
             found = left
         if not found:
-            return []
+            return None
         changes = []
         for j, fit in found:
             samples = self.data.joints[j]
-            measured = math.sqrt(samples.squares[self._measured(j)])
+            source = self.data.first_measured + self.robot_fit.source[j]
+            measured = math.sqrt(samples.squares[source])
             changes.append(Change(self.names[j], samples.is_prismatic, fit.rms, fit.rms, measured))
-        return [
-            Fault(FaultKind.UNEXPLAINED, tuple(each.joint for each in changes), (), tuple(changes))
-        ]
-
-    def _measured(self, j: int) -> int:
-        return self.data.first_measured + self.robot_fit.source[j]
+        return Fault(
+            FaultKind.UNEXPLAINED, tuple(each.joint for each in changes), (), tuple(changes)
+        )
 
 
 def _value(fit: JointFit, kind: FaultKind) -> float:

@@ -77,7 +77,7 @@ class Fault(NamedTuple):
     gravity in the frame of the base link [m/s^2]. For a delay: one time [s].
     """
     changes: tuple[Change, ...] = ()
-    """Joints with smaller residuals after the correction, largest reduction first."""
+    """Joints whose residuals the correction reduces; the largest reduction comes first."""
     error: float = 0.0
     """Standard error of the mass of a payload [kg]."""
     angle: float = 0.0

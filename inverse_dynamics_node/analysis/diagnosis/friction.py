@@ -53,8 +53,7 @@ class FrictionFit(NamedTuple):
 
     def efforts(self, qd: Floats, direction: Floats) -> Floats:
         """Return efforts of friction and offset at given velocities and smoothed directions."""
-        efforts: Floats = self.damping * qd + self.coulomb * direction + self.offset
-        return efforts
+        return np.asarray(self.damping * qd + self.coulomb * direction + self.offset)
 
     @property
     def has_shape(self) -> bool:
@@ -151,7 +150,11 @@ def fit_shape(
     columns = {
         each: friction_columns(qd, each, load, smooth) for each in dict.fromkeys((width, *WIDTHS))
     }
-    triangles = {each: _triangle(of, residual) for each, of in columns.items()}
+    # A few rows lead to the same least-squares fits as all samples.
+    triangles = {
+        each: np.asarray(np.linalg.qr(np.column_stack([of, residual]), mode='r'))
+        for each, of in columns.items()
+    }
     squares, best = _with_load(triangles[width], False)
     chosen = width
     for has_load in (False, True):
@@ -165,11 +168,6 @@ def fit_shape(
     every = np.ones(len(qd), dtype=bool)
     errors = standard_errors(columns[chosen][:, [0, 1, 3]], unexplained, every, window)
     return FrictionFit(best[0], best[1], best[3], *errors, '', chosen, best[2])
-
-
-def _triangle(columns: Floats, residual: Floats) -> Floats:
-    """Return a few rows that lead to the same least-squares fits as all samples."""
-    return np.asarray(np.linalg.qr(np.column_stack([columns, residual]), mode='r'))
 
 
 def _with_load(
@@ -209,7 +207,7 @@ def friction_parameters(
     armature: Sequence[float] = (),
 ) -> str:
     """
-    Return friction as parameters of the node, in YAML for ``--ros-args --params-file``.
+    Return the YAML text of node parameters with the fitted friction.
 
     Where the friction of a joint is unknown, the node uses the friction in the URDF. `width` is
     the speed over which Coulomb friction is smoothed [rad/s or m/s], if no width was fitted.

@@ -85,7 +85,10 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
 
     Return None unless this cause explains far more than the best explanation of all samples.
     """
-    if data.duration < MIN_DURATION or not _is_open(data, robot_fit):
+    # Even if a load or a tilt is temporary, a candidate model for all samples explains a little.
+    is_nominal = robot_fit.candidate.kind is None
+    floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
+    if data.duration < MIN_DURATION or not data.is_open(robot_fit, floors):
         return None
     unexplained = data.unexplained(robot_fit)
     fault = _interval(data, robot_fit)
@@ -96,24 +99,15 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
     return tilt or fault
 
 
-def _is_open(data: RegressionData, robot_fit: RobotFit) -> bool:
-    """Return whether the effort of a moving joint is not explained."""
-    # Even if a load or a tilt is temporary, a candidate model for all samples explains a little.
-    is_nominal = robot_fit.candidate.kind is None
-    floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
-    return any(
-        samples.moves and fit.remaining > floors * samples.floor(data.first_measured + source)
-        for samples, fit, source in zip(data.joints, robot_fit.fits, robot_fit.source, strict=True)
-    )
-
-
 # ---- A load or a push ----------------------------------------------------------------------
 
 
 def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
     begin, end = span(data)
     edges = np.linspace(begin, end, SEGMENTS + 1)
-    first, last = _pairs()
+    first, last = np.triu_indices(SEGMENTS + 1, 1)
+    is_possible = last - first <= LONGEST * SEGMENTS
+    first, last = first[is_possible], last[is_possible]
     cost = np.zeros(len(first))
     left, total = np.zeros(len(first)), 0.0
     loudest = np.zeros(len(first))
@@ -144,25 +138,13 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
     return next((fault for fault in forces if fault is not None), None)
 
 
-def _pairs() -> tuple[Integers, Integers]:
-    """Return the first and last edges of all possible intervals."""
-    first, last = np.triu_indices(SEGMENTS + 1, 1)
-    chosen = last - first <= LONGEST * SEGMENTS
-    return first[chosen], last[chosen]
-
-
-def _features(data: RegressionData, j: int) -> Floats:
-    """Return the columns of friction, rotor and offset, and the residual effort of the model."""
-    columns = data.joints[j].columns
-    target = columns[:, data.first_measured + j] - columns[:, MODEL]
-    return np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
-
-
 def _mean_squares(
     data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
     """Return mean squares inside and outside each interval, and numbers of samples inside."""
-    features = _features(data, j)
+    columns = data.joints[j].columns
+    target = columns[:, data.first_measured + j] - columns[:, MODEL]
+    features = np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
     scale = np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     features = features / scale
     rows = np.searchsorted(data.joints[j].times, edges)

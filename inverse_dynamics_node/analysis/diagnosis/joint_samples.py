@@ -20,7 +20,7 @@ from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, gravity_columns, payload_columns
 
 PARAMETER_COST = math.log(2.0)
-"""A parameter is accepted only if it halves the sum of squared residuals."""
+"""A parameter is accepted only if the parameter halves the sum of squared residuals."""
 FLOOR = 0.03  # accuracy of models, as a fraction of a joint's RMS effort
 NOISE_FLOOR = 2.0  # an RMS residual below this multiple of the noise is explained
 SAME_SCALE = (0.8, 1.25)  # factors in this range are model errors, not another unit
@@ -68,7 +68,7 @@ class JointFit(NamedTuple):
     sensor_fault: SensorFault
     cost: float
     remaining: float
-    """Unexplained fraction of the squared measured effort."""
+    """Fraction of the squared measured effort that the fit does not explain."""
     moves: bool = True
     """Whether the joint moved enough to identify its friction."""
     is_friction_only: bool = False
@@ -170,9 +170,9 @@ class JointSamples:
         """Return the fit with the most credible sensor fault, or without a sensor fault."""
         rms = math.sqrt(self.squares[measured]) / unit
         best = self.fit(weights, measured, NO_FAULT, unit)
-        if best.remaining < self.floor(measured):
-            return best._replace(is_friction_only=self._is_friction_only(measured, best))
-        for sensor_fault, least in self._possible_faults(weights, measured, unit):
+        is_explained = best.remaining < self.floor(measured)
+        possible = () if is_explained else self._possible_faults(weights, measured, unit)
+        for sensor_fault, least in possible:
             least_cost = math.log(least + self.floor(measured))
             if least_cost + PARAMETER_COST * sensor_fault.parameters > best.cost:
                 continue
@@ -186,7 +186,10 @@ class JointSamples:
                 and not (sensor_fault.has_offset and is_small)
             )
             best = fit if is_credible else best
-        return best._replace(is_friction_only=self._is_friction_only(measured, best))
+        is_friction_only = not best.sensor_fault.is_scaled and self._needs_no_model(
+            measured, best.sensor_fault, best.remaining, FRICTION_ONLY
+        )
+        return best._replace(is_friction_only=is_friction_only)
 
     def _possible_faults(
         self, weights: Floats, measured: int, unit: float
@@ -202,11 +205,6 @@ class JointSamples:
                     is_part = all(a <= b for a, b in zip(sensor_fault, every, strict=True))
                     if sensor_fault.is_swapped == is_swapped and is_part:
                         yield sensor_fault, least
-
-    def _is_friction_only(self, measured: int, fit: JointFit) -> bool:
-        return not fit.sensor_fault.is_scaled and self._needs_no_model(
-            measured, fit.sensor_fault, fit.remaining, FRICTION_ONLY
-        )
 
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
         """Return whether friction alone explains as much as a fit with this sign and scale."""

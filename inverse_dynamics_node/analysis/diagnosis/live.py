@@ -19,6 +19,7 @@ import numpy as np
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
 from ..columns import direction_of
+from ..recordings.signals import rms
 from .compared_efforts import not_measured
 from .diagnoses import (
     diagnose,
@@ -261,10 +262,10 @@ class _Comparison:
         self.measured, self.modelled = whole.measured[:, columns], whole.modelled[:, columns]
         self.is_prismatic = dynamics.robot.is_prismatic_joint[columns]
         self.limits = limits[columns]
-        self.moves: Booleans = _rms(np.nan_to_num(whole.qd[:, columns])) > MOVING
-        self.effort = np.maximum(_rms(self.measured), _rms(self.modelled))
+        self.moves: Booleans = rms(np.nan_to_num(whole.qd[:, columns])) > MOVING
+        self.effort = np.maximum(rms(self.measured), rms(self.modelled))
         self.floor = self._floor()
-        self.is_checked = _rms(self.modelled) > self.floor
+        self.is_checked = rms(self.modelled) > self.floor
         self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
         # A zero effort agrees if the model is zero too; such a joint needs no explanation.
         self.searched = np.flatnonzero(self.measured.any(axis=0) & ~self.silent)
@@ -320,11 +321,11 @@ class _Comparison:
 
     def _floor(self) -> Floats:
         """Return the residuals up to which differences are ignored, shape (c,) [N m or N]."""
-        modelled, largest = _rms(self.modelled), np.zeros(len(self.names))
+        modelled, largest = rms(self.modelled), np.zeros(len(self.names))
         if not self.convention.in_measured:
             # The driver removes gravity only as accurately as its own model of gravity.
             gravity = self.dynamics.gravity_efforts(np.nan_to_num(self.whole.q[self.some]))
-            modelled = np.maximum(modelled, _rms(gravity[:, self.index]))
+            modelled = np.maximum(modelled, rms(gravity[:, self.index]))
         for kind in (False, True):
             same = self.is_prismatic == kind
             if same.any():
@@ -395,7 +396,7 @@ class _Comparison:
         """Return the residuals above a fraction of the effort, worst first [N m or N]."""
         found = {}
         for c, fit in zip(self.searched.tolist(), robot_fit.fits, strict=True):
-            residual = float(np.sqrt(fit.remaining) * _rms(self.measured)[c])
+            residual = float(np.sqrt(fit.remaining) * rms(self.measured)[c])
             if residual > max(self.floor[c], fraction * self.effort[c]):
                 found[c] = residual
         return dict(sorted(found.items(), key=lambda each: -each[1] / self.effort[each[0]]))
@@ -411,7 +412,7 @@ class _Comparison:
 
     def _unexplained(self, differs: dict[int, float]) -> Fault:
         changes = [
-            Change(self.names[c], bool(self.is_prismatic[c]), left, left, _rms(self.measured)[c])
+            Change(self.names[c], bool(self.is_prismatic[c]), left, left, rms(self.measured)[c])
             for c, left in differs.items()
         ]
         return Fault(
@@ -432,12 +433,6 @@ class _Comparison:
 
     def _names(self, selected: Booleans) -> tuple[str, ...]:
         return tuple(self.names[c] for c in np.flatnonzero(selected))
-
-
-def _rms(signals: Floats) -> Floats:
-    """Return the root mean square of each column."""
-    result: Floats = np.sqrt(np.mean(signals**2, axis=0))
-    return result
 
 
 # ---- The verdict ---------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...robot.kinematics import path_to
 from ...robot.model import Booleans, Floats, RobotModel
 
 PARAMETERS = 10  # one of m, three of m c, six of m c c^T
@@ -24,7 +25,7 @@ def tip_links(robot: RobotModel) -> tuple[str, ...]:
     children = np.bincount(robot.parent[1:], minlength=len(robot.parent))
     # A load on the palm of a hand does not act on the joints of its fingers.
     bodies = [body for body in range(1, len(children)) if children[body] != 1]
-    bodies.sort(key=lambda body: (children[body] == 0, -_depth(robot, body)))
+    bodies.sort(key=lambda body: (children[body] == 0, -len(path_to(robot, body))))
     links = []
     for body in bodies[:MOST_LINKS]:
         on_body = np.flatnonzero(robot.link_body == body)
@@ -43,24 +44,11 @@ def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple
     """
     links = (link,) if link is not None else tip_links(robot)
     moved: Booleans = np.ptp(q, axis=0) > MOVED
-    return tuple(link for link in links if not moved.any() or moves_with(robot, link, moved))
-
-
-def moves_with(robot: RobotModel, link: str, moved: Booleans) -> bool:
-    """Return whether a link moves with any moved joint; `moved` has one flag per joint."""
-    body = int(robot.link_body[robot.link_index(link)])
-    while body > 0:
-        if moved[robot.joint_index[body]]:
-            return True
-        body = int(robot.parent[body])
-    return False
-
-
-def _depth(robot: RobotModel, body: int) -> int:
-    depth = 0
-    while body > 0:
-        body, depth = int(robot.parent[body]), depth + 1
-    return depth
+    if not moved.any():
+        return links
+    paths = (path_to(robot, int(robot.link_body[robot.link_index(link)])) for link in links)
+    moves = [moved[robot.joint_index[path]].any() for path in paths]
+    return tuple(link for link, is_moved in zip(links, moves, strict=True) if is_moved)
 
 
 def point_mass_parameters(mass: float, com: Floats) -> Floats:

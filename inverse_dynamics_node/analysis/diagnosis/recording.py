@@ -9,13 +9,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..recordings.signals import derive, Motion, Recording, without_turns
-from .bodies import Bodies, CERTAIN, fit_bodies
+from ..recordings.signals import derive, Motion, Recording, rms, without_turns
+from .bodies import CERTAIN, fit_bodies
 from .compared_efforts import (
     added_efforts,
     as_recorded,
@@ -24,9 +23,7 @@ from .compared_efforts import (
     corrected_efforts,
     fit_joints,
     friction_efforts,
-    load_on_gears,
     obscured,
-    when_comparable,
     with_friction_only,
     with_shapes,
 )
@@ -41,7 +38,7 @@ from .diagnoses import (
     search_axes,
 )
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
-from .friction import FrictionFit
+from .friction import FrictionFit, is_moving
 from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
 from .regression_data import RegressionData, RobotFit
 
@@ -139,7 +136,6 @@ class ComparisonResult:
 def diagnose_recording(
     dynamics: InverseDynamics,
     recording: Recording,
-    others: ArrayLike | None = None,
     link: str | None = None,
     width: float | None = None,
     convention: GravityConvention = WITH_GRAVITY,
@@ -148,10 +144,10 @@ def diagnose_recording(
     Compare a recording of any joints, in any order, with the model of their robot.
 
     The dynamics include all known loads; an unknown load may be on `link`, by default on the tips
-    of the tree. Joints that were not recorded have the positions `others` [rad or m], shape
-    (n,) for the n joints of the robot; default: zero. `width` is the speed over which Coulomb
-    friction is smoothed [rad/s or m/s]. By default, the width of each joint is fitted if the
-    recording reveals it. The `convention` says whether measured efforts should contain gravity.
+    of the tree. Joints that were not recorded are assumed to rest at zero. `width` is the speed
+    over which Coulomb friction is smoothed [rad/s or m/s]. By default, the width of each joint is
+    fitted if the recording reveals it. The `convention` says whether measured efforts should
+    contain gravity.
 
     Raise RecordingError if the robot lacks a recorded joint or the recording is not usable, and
     ConfigurationError if the link does not exist.
@@ -162,7 +158,7 @@ def diagnose_recording(
     index = _indices(recording.joint_names, robot)
     motion = derive(without_turns(robot, recording))
     common_width = FRICTION_WIDTH if width is None else width
-    compared = ComparedEfforts(dynamics, motion, index, others, link, common_width, convention)
+    compared = ComparedEfforts(dynamics, motion, index, link, common_width, convention)
     return _result(compared, fits_shape=width is None)
 
 
@@ -187,15 +183,20 @@ def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
         used = ~compared.inside(fault)
     unknown = obscured(compared, robot_fit)
     fits = fit_joints(compared, measured[used] - efforts[used], unknown, used)
-    load = load_on_gears(compared, robot_fit)
+    load = np.abs(compared.rigid + added_efforts(compared, robot_fit))
     if fits_shape and fault is None:
         fits = with_shapes(compared, fits, measured - efforts, load)
     for c, fit in enumerate(fits):
         efforts[:, c] += friction_efforts(compared, c, fit, load[:, c])
     corrected = as_recorded(compared, efforts, robot_fit)
     corrected = compared.distorted(corrected, found.signs, found.delay)
-    when = [used & each for each in when_comparable(recorded, fits)]
+    # Where the friction is unknown, all samples are comparable.
+    when = [
+        used if fit.unknown_because else used & is_moving(recorded.qd[:, c], recorded.width)
+        for c, fit in enumerate(fits)
+    ]
     rubbing = with_friction_only(recorded)
+    moving = [c for c in recorded.varying if recorded.moves(c)]
     return ComparisonResult(
         motion=recorded.motion,
         compared=tuple(recorded.compared),
@@ -209,7 +210,7 @@ def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
         faults=found.faults,
         width=recorded.width,
         is_too_short=found.data.is_too_short,
-        moving=tuple(_moving(recorded)),
+        moving=tuple(moving or recorded.varying),
     )
 
 
@@ -270,7 +271,7 @@ def _confirmed(
     """Return the reversed axes if they explain more than wrong links, else the recorded axes."""
     left = []
     for each in (reversed_, recorded):
-        bodies = _fitted_bodies(undistorted(each.signs), each.data, each.robot_fit)
+        bodies = fit_bodies(undistorted(each.signs), each.data, each.robot_fit)
         left.append(math.inf if bodies is None else bodies.unexplained_anywhere)
     return recorded if left[0] > REVERSED * left[1] else reversed_
 
@@ -283,7 +284,7 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
         if delay:
             data = compared.regression_data()
             robot_fit = data.refit(robot_fit)
-        bodies = _fitted_bodies(compared, data, robot_fit)
+        bodies = fit_bodies(compared, data, robot_fit)
         if bodies is None or abs(delay) > MAX_DELAY:
             return 0.0
         delay += bodies.delay
@@ -305,7 +306,7 @@ def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: Ro
     """Explain efforts; if needed, assume wrong links or a cause that acts in an interval."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
-    bodies = _fitted_bodies(compared, data, robot_fit)
+    bodies = fit_bodies(compared, data, robot_fit)
     nearer, faults = compared, []
     if bodies is not None and bodies.explain_more(data, robot_fit, fault):
         nearer = compared.with_bodies(bodies.change, bodies.has_own_gravity)
@@ -314,13 +315,12 @@ def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: Ro
         fault = bodies.confirmed(find_fault_interval(data, robot_fit))
         if bodies.are_wrong:
             faults = [diagnose_bodies(bodies, data, names)]
-    limited = []
     if fault is not None:
         fault = _refined(nearer, fault)
         data, robot_fit = fault.data, fault.outside
-        limited = diagnose_interval(fault, names)
     if compared.varying and (fault is None or fault.kind is FaultKind.EXTERNAL_FORCE):
         faults = diagnose(data, robot_fit, names) + faults
+    limited = [] if fault is None else [diagnose_interval(fault, names)]
     return _Found(compared, data, robot_fit, (*limited, *faults), np.zeros(0), 0.0, fault)
 
 
@@ -346,39 +346,6 @@ def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
     return fault._replace(interval=best_interval(compared.motion.times, gain, fault.interval))
 
 
-def _fitted_bodies(
-    compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
-) -> Bodies | None:
-    """Fit the inertial parameters of all links; None if the data are not sufficient."""
-    if not compared.varying:
-        return None
-    rows = [compared.used(c)[compared.fit_samples] for c in compared.varying]
-    index = [compared.index[c] for c in compared.varying]
-    plain, found = data.friction_only(), []
-    is_plain = (
-        robot_fit.source == plain.source
-        and not data.contradicts(robot_fit.candidate)
-        and not robot_fit.is_scaled
-        and not any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
-    )
-    # Wrong links may look like a wrong sign, unit or order, but not the other way round.
-    starts = (robot_fit,) if is_plain else (plain, robot_fit)
-    for start in starts:
-        rates = compared.rates(start)[compared.fit_samples]
-        states = compared.fit_states
-        bodies = fit_bodies(data, start, compared.dynamics, states, rows, index, rates)
-        if bodies is None:
-            return None
-        found.append(bodies)
-    return min(found, key=lambda each: each.unexplained_anywhere)
-
-
-def _moving(compared: ComparedEfforts) -> list[int]:
-    """Return the columns of moving joints; all columns with varying effort if no joint moved."""
-    moving = [c for c in compared.varying if compared.moves(c)]
-    return moving or compared.varying
-
-
 def _joint_residual(
     compared: ComparedEfforts,
     c: int,
@@ -394,18 +361,14 @@ def _joint_residual(
     return JointResidual(
         name=compared.names[c],
         is_prismatic=compared.is_prismatic(c),
-        rms_measured=_rms(measured),
-        rms_modelled=_rms(modelled),
-        rms_residual=_rms(measured - modelled),
-        rms_friction=_rms(measured - rubbing[when]),
-        rms_corrected=_rms(measured - corrected[when]),
+        rms_measured=float(rms(measured)),
+        rms_modelled=float(rms(modelled)),
+        rms_residual=float(rms(measured - modelled)),
+        rms_friction=float(rms(measured - rubbing[when])),
+        rms_corrected=float(rms(measured - corrected[when])),
         noise=math.nan if math.isfinite(compared.motion.cut_off) else float(compared.noise[c]),
         scale=float(scale),
         offset=float(offset),
         friction=friction,
         is_varying=is_varying,
     )
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -8,6 +8,7 @@ effort sensor of each joint may have a fault.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 import math
@@ -102,7 +103,7 @@ class RobotFit(NamedTuple):
 
 class RegressionData:
     """
-    The samples of n joints, and the search for their explanation.
+    The samples of n joints, and the search for an explanation of the measured efforts.
 
     Each link in `links` may carry a load of up to `heaviest` [kg]. `links` maps the name of a link
     to the mass of its body [kg]. In the samples, the efforts of loads start at column ``LOADS``.
@@ -137,18 +138,10 @@ class RegressionData:
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
         """Return the same data with the given samples, which represent `duration` [s]."""
-        links = dict(zip(self.links, self.link_masses, strict=True))
-        sample_count = self.sample_count * duration / self.duration
-        return RegressionData(
-            joints,
-            links,
-            self.heaviest,
-            self.gravity,
-            sample_count,
-            duration,
-            self.least_duration,
-            self.convention,
-        )
+        other = copy(self)
+        other.joints, other.duration = tuple(joints), duration
+        other.sample_count = self.sample_count * duration / self.duration
+        return other
 
     def restricted(self, interval: tuple[float, float], is_inside: bool) -> RegressionData:
         """Return the samples inside or outside an interval [s]."""
@@ -194,6 +187,28 @@ class RegressionData:
     def is_at_rest(self) -> bool:
         """Whether no joint moves enough to identify its friction."""
         return not any(samples.moves for samples in self.joints)
+
+    def floor(self, robot_fit: RobotFit, j: int) -> float:
+        """Return the fraction of the squared effort of a joint that needs no explanation."""
+        return self.joints[j].floor(self.first_measured + robot_fit.source[j])
+
+    def square(self, robot_fit: RobotFit, j: int) -> float:
+        """Return the mean square of the effort of a joint, in the unit of the model."""
+        measured = self.first_measured + robot_fit.source[j]
+        return float(self.joints[j].squares[measured]) / robot_fit.factor(j) ** 2
+
+    def is_open(self, robot_fit: RobotFit, floors: float, most: float = math.inf) -> bool:
+        """
+        Return whether the effort of a moving joint is not explained.
+
+        Such a joint leaves more than `floors` times its floor unexplained. If this limit is larger
+        than the fraction `most`, the larger one of the floor and `most` is the limit.
+        """
+        return any(
+            samples.moves and fit.remaining > max(floor, min(floors * floor, most))
+            for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True))
+            for floor in [self.floor(robot_fit, j)]
+        )
 
     def explain(self) -> RobotFit:
         """Return the credible explanation with the lowest cost."""
@@ -256,8 +271,7 @@ class RegressionData:
             # The effort of a joint at rest also contains an unknown dry friction.
             if not (samples.moves or self.is_at_rest):
                 continue
-            measured = self.first_measured + robot_fit.source[j]
-            square = float(samples.squares[measured]) / robot_fit.factor(j) ** 2
+            square = self.square(robot_fit, j)
             remaining[samples.is_prismatic] += fit.remaining * square
             squares[samples.is_prismatic] += square
         return float(
@@ -270,21 +284,19 @@ class RegressionData:
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
             gravity, target = samples.triangle[:, GRAVITY], self._target(j, robot_fit)
-            measured = self.first_measured + robot_fit.source[j]
-            modelled = samples.squares[MODEL]
+            floor, modelled = self.floor(robot_fit, j), samples.squares[MODEL]
             if not self.has_gravity:
                 modelled = modelled + samples.squares[GRAVITY]
             is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * modelled
             # The unknown dry friction of a joint at rest looks like less gravity.
             is_heavy = is_heavy and (samples.moves or self.is_at_rest)
-            if is_heavy and fit.remaining > max(CREDIBLE, samples.floor(measured)):
+            if is_heavy and fit.remaining > max(CREDIBLE, floor):
                 return False
             is_shown = is_shown or bool(is_heavy)
             if samples.moves:
                 friction = np.linalg.qr(samples.triangle[:, [SPEED, DIRECTION]])[0]
                 gravity, target = (x - friction @ (friction.T @ x) for x in (gravity, target))
-            variance = fit.remaining + samples.floor(measured)
-            variance *= float(samples.squares[measured]) / robot_fit.factor(j) ** 2
+            variance = (fit.remaining + floor) * self.square(robot_fit, j)
             numerator += float(gravity @ target) / variance
             denominator += float(np.sum(gravity**2)) / variance
         return is_shown and abs(numerator) < NO_GRAVITY * denominator

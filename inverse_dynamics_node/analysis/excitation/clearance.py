@@ -34,9 +34,9 @@ _OFTEN = 0.02
 _MOST_LOOKS = 40
 """Largest number of poses in which surfaces are compared."""
 _UNSEEN = 0.005
-"""Capsules whose surfaces are never near may come this much closer than in sampled poses [m]."""
+"""If surfaces are never near, their capsules may come this much closer than in samples [m]."""
 _ON_THE_WAY = 0.005
-"""If links are too near at the start of a way, they may come this much closer at first [m]."""
+"""If links are too near at the start of a path, they may at first come this much closer [m]."""
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
@@ -92,7 +92,7 @@ class Clearance:
     needed: Floats
     """Least distances [m]: of the pairs, of capsule ends to the floor, of capsules to each box."""
     unchecked: tuple[str, ...] = ()
-    """Names of pairs that are near too often to be checked, such as 'wrist and floor'."""
+    """Pairs that are too often near each other to be checked, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
@@ -100,8 +100,7 @@ class Clearance:
         body = self.capsules.body
         single = np.tile(body, 2 + len(self.boxes))
         outside = np.stack([single, np.zeros_like(single)], axis=1)
-        both: Integers = np.concatenate([body[self.pairs], outside])
-        return both
+        return np.asarray(np.concatenate([body[self.pairs], outside]))
 
     def contacts(self, q: Floats, margin: float = 0.0) -> Contacts:
         """Return the pairs that are nearer than their least distance plus a margin [m]."""
@@ -184,8 +183,8 @@ class Clearance:
 
         The violation of a pose is the sum of squares of the missing distances, relative to
         `_SCALE`. The gradient has the shape (poses, joints). `aim` is the fraction of the limits
-        that a search aims at. If the poses are a way, links that are too near in the first pose
-        must gradually move apart.
+        that a search aims at. If the poses are those of a path (`is_way`), links that are too
+        near each other in the first pose must gradually move apart.
 
         """
         margin = (1.0 - aim) * _SCALE
@@ -218,7 +217,7 @@ class Clearance:
         return slopes
 
     def is_kept(self, q: Floats, is_way: bool = False) -> bool:
-        """Return whether all poses are as clear as needed; a few poses are checked first."""
+        """Return whether all poses keep the least distances; a few poses are checked first."""
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
@@ -298,7 +297,7 @@ def find_clearance(
     boxes: Sequence[Floats] = (),
 ) -> Clearance:
     """
-    Find out which links of a robot may come near each other, near the floor, or near a box.
+    Find the links of a robot that may come near each other, the floor, or a box.
 
     `poses` are random poses within the limits, shape (poses, joints) [rad or m]. `floor` is the
     height of the floor in the frame of the base [m]. Each of the `boxes` has a lowest and a
@@ -402,8 +401,7 @@ def _nearest_to_box(start: Floats, end: Floats, low: Floats, high: Floats) -> Fl
     points: Floats = start[:, np.newaxis] + _PLACES * (end - start)[:, np.newaxis]
     distances, _ = _of_box(points.reshape(-1, 3), low, high)
     best = distances.reshape(points.shape[:2]).argmin(axis=1)
-    nearest: Floats = points[np.arange(len(points)), best]
-    return nearest
+    return np.asarray(points[np.arange(len(points)), best])
 
 
 def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:

@@ -91,5 +91,4 @@ def _combinations(harmonics: int) -> tuple[Floats, Floats]:
 def _null_space(row: Floats) -> Floats:
     """Return an orthonormal basis of the vectors that are orthogonal to `row`, as columns."""
     _, _, directions = np.linalg.svd(row[np.newaxis])
-    null_space: Floats = directions[1:].T
-    return null_space
+    return np.asarray(directions[1:].T)

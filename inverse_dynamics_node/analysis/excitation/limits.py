@@ -32,7 +32,7 @@ _LEAST_RANGE = 1e-3
 _POSES = 400
 """Number of random poses that show which links of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A joint is light if it carries less than this mass [kg] and this fraction of the robot mass."""
+"""A light joint carries less than this mass [kg] and less than this fraction of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +65,12 @@ class MotionLimits:
     @property
     def middle(self) -> Floats:
         """Middle of the position ranges, shape (moving joints,) [rad or m]."""
-        middle: Floats = 0.5 * (self.lower + self.upper)
-        return middle
+        return np.asarray(0.5 * (self.lower + self.upper))
 
     @property
     def half(self) -> Floats:
         """Half of the width of the position ranges, shape (moving joints,) [rad or m]."""
-        half: Floats = 0.5 * (self.upper - self.lower)
-        return half
+        return np.asarray(0.5 * (self.upper - self.lower))
 
 
 def motion_limits(
@@ -106,7 +104,11 @@ def motion_limits(
     positions = np.clip(0.0, *joint_ranges(robot))
     for name, position in (rest or {}).items():
         positions[robot.joint_indices([name])[0]] = position
-    still = _that_cannot_move(robot, lower, upper)
+    still = {  # joints that cannot move, with the reason
+        name: f'its range is {low:g} to {high:g}'
+        for name, low, high in zip(robot.joint_names, lower, upper, strict=True)
+        if high - low < _LEAST_RANGE
+    }
     names = _chosen(robot, joints, still, _light(robot), notes)
     index = robot.joint_indices(names)
     return MotionLimits(
@@ -163,15 +165,6 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
             f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected a range within the "
             f'limits {robot.lower[i]:g} to {robot.upper[i]:g} {unit}'
         )
-
-
-def _that_cannot_move(robot: RobotModel, lower: Floats, upper: Floats) -> dict[str, str]:
-    """Return the joints that cannot move, with the reason."""
-    still = {}
-    for i, name in enumerate(robot.joint_names):
-        if upper[i] - lower[i] < _LEAST_RANGE:
-            still[name] = f'its range is {lower[i]:g} to {upper[i]:g}'
-    return still
 
 
 def _light(robot: RobotModel) -> dict[str, str]:
@@ -263,7 +256,7 @@ def keep_clear(
     """
     Return limits for motions during which the robot hits neither itself nor an obstacle.
 
-    `capsules` surround the bodies of the robot. `find_clearance` describes `floor` and `boxes`.
+    `capsules` surround the bodies of the robot. For `floor` and `boxes`, see `find_clearance`.
 
     """
     poses = random_states(limits, _POSES, np.random.default_rng(3)).q
@@ -278,8 +271,8 @@ def excess(
     """
     Return how far states exceed each limit, relative to the limit.
 
-    `aim` is the fraction of a limit from which the excess starts; below, the excess is 0. The
-    result has one row per state, and one column for each limit of position, speed and effort.
+    `aim` is the fraction of a limit at which the excess starts; below this value, the excess is 0.
+    The result has one row per state, and one column for each limit of position, speed and effort.
 
     """
     parts = [
@@ -290,5 +283,4 @@ def excess(
     if bounded.any():
         efforts = dynamics.efforts(*whole_states(limits, states))
         parts.append(np.abs(efforts[:, bounded]) / limits.efforts[bounded])
-    found: Floats = np.maximum(np.concatenate(parts, axis=1) - aim, 0.0)
-    return found
+    return np.asarray(np.maximum(np.concatenate(parts, axis=1) - aim, 0.0))

@@ -53,7 +53,7 @@ _POSES = 300
 _NEARLY_ALL = 0.9
 """If more than this fraction of poses is below the floor, the floor height is probably wrong."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
-"""For each round: the weight of violated limits relative to one unknown, and the iterations."""
+"""For each round: the weight of violated limits relative to one unknown; number of iterations."""
 _LARGEST_WORK = 1.5e9
 """Largest number of regressor entries to compute; more joints lead to fewer iterations."""
 _FEWEST_ITERATIONS = 5
@@ -218,11 +218,10 @@ class MotionSpace:
     def way_to(self, start: Floats, count: int) -> Floats:
         """Return poses on the straight way from rest to a start, shape (count, joints)."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
-        way: Floats = rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest)
-        return way
+        return np.asarray(rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest))
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
-        """Draw motions about poses that the drives can hold; each is as large as possible."""
+        """Draw motions, as large as possible, about poses that the drives can hold."""
         centres = self._poses(rng)
         found = []
         for k in range(count):
@@ -235,7 +234,7 @@ class MotionSpace:
         return found
 
     def within_limits(self, x: Floats, safe: Floats) -> Floats:
-        """Reduce a motion, or mix it with a safe motion, until it is within the limits."""
+        """Reduce a motion, or mix the motion with a safe one, until all limits are kept."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
         for end, smallest in ((still, 0.5), (safe, 0.0)):
@@ -263,8 +262,7 @@ class MotionSpace:
         states = States(*(part @ (swing * self.limits.half[:, None]).T for part in self.basis))
         room = self.limits.half * (1.0 - np.abs(still[:, 0]))
         ratios = np.maximum(np.abs(states.q) / room, np.abs(states.qd) / self.limits.speeds)
-        size: Floats = np.max(ratios, axis=0)[:, np.newaxis]
-        return size
+        return np.asarray(np.max(ratios, axis=0)[:, np.newaxis])
 
     def _poses(self, rng: np.random.Generator) -> Floats:
         """Return poses within the limits, relative to middle and half width of the ranges."""
@@ -345,8 +343,7 @@ class _Objective:
         information_lost = self.unknowns.weighted_sum(factors)
 
         def linearised(states: States) -> Floats:
-            sums: Floats = information_lost(states) + weight * u / k * self._violation(states)
-            return sums
+            return np.asarray(information_lost(states) + weight * u / k * self._violation(states))
 
         value = -float(np.linalg.slogdet(information)[1])
         value += weight * u / k * float(np.sum(self._violation(states)))
@@ -361,8 +358,7 @@ class _Objective:
 
     def _violation(self, states: States) -> Floats:
         beyond = excess(self.motions.dynamics, self.motions.limits, states, self.aim)
-        violation: Floats = np.sum(beyond**2, axis=1)
-        return violation
+        return np.asarray(np.sum(beyond**2, axis=1))
 
 
 def _gradient(function: Callable[[States], Floats], states: States, speeds: Floats) -> States:
@@ -387,16 +383,14 @@ def _gradient(function: Callable[[States], Floats], states: States, speeds: Floa
 
 
 def _even_times(count: int, duration: float) -> Floats:
-    times: Floats = np.arange(count, dtype=float) * (duration / count)
-    return times
+    return np.asarray(np.arange(count, dtype=float) * (duration / count))
 
 
 def _information(columns: Floats) -> Floats:
     # The product of one sample is too small for BLAS to start threads. On a busy machine, threads
     # would take much longer than the products.
     products = columns.transpose(0, 2, 1) @ columns
-    information: Floats = np.mean(products, axis=0) + _TINY * np.eye(columns.shape[2])
-    return information
+    return np.asarray(np.mean(products, axis=0) + _TINY * np.eye(columns.shape[2]))
 
 
 def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None]) -> Floats:
@@ -423,8 +417,7 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
             callback=report,
             options={'maxiter': iterations, 'maxcor': 20},
         )
-        found: Floats = np.asarray(result.x, dtype=float).reshape(x.shape)
-        return found
+        return np.asarray(result.x, dtype=float).reshape(x.shape)
 
     for weight, iterations in rounds:
         x = descend(x, weight, iterations)
@@ -452,5 +445,4 @@ def _assumed_noise(motions: MotionSpace, candidates: list[Floats]) -> Floats:
     largest = np.max(np.abs(efforts), axis=(0, 1))[limits.index]
     given = dynamics.robot.effort_limits[limits.index]
     of = np.where(np.isfinite(given), given, largest)
-    noise: Floats = np.maximum(NOISE * of, _LEAST_NOISE)
-    return noise
+    return np.asarray(np.maximum(NOISE * of, _LEAST_NOISE))

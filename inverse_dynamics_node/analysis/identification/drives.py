@@ -46,6 +46,8 @@ LARGEST_LOAD = 0.1
 """Expected standard deviation of load friction [-]; poor gears have this much."""
 WIDTHS = 10
 """Number of friction widths to try."""
+NARROWEST = 0.002
+"""Smallest friction width to try [rad/s or m/s]."""
 SIGNIFICANT = 5.0
 """A gain is known if its inverse exceeds this many standard errors."""
 LEAST_CHANGE = 0.15
@@ -90,10 +92,10 @@ class EffortCorrection(NamedTuple):
         return [_shifted(motion, self.delay) * self.gains for motion in motions]
 
 
-def widths_to_try(speeds: Floats, slowest: float = 0.002) -> Floats:
+def widths_to_try(speeds: Floats) -> Floats:
     """Return friction widths to try for given speeds of joints, shape (WIDTHS, joints)."""
-    fast = np.maximum(speeds, 10.0 * slowest)
-    return np.geomspace(np.maximum(0.004 * fast, slowest), 0.4 * fast, WIDTHS)
+    fast = np.maximum(speeds, 10.0 * NARROWEST)
+    return np.geomspace(np.maximum(0.004 * fast, NARROWEST), 0.4 * fast, WIDTHS)
 
 
 def choose_terms(
@@ -127,7 +129,7 @@ def _choose_terms(
             chosen, width = _best(grams[j], (*FRICTION, *kept), optional)
         used[j, list(chosen)] = True
         widths[j] = grid[width, j]
-        joints[j, list(chosen)] = _fit(grams[j][width].sum(axis=0), chosen)
+        joints[j, list(chosen)] = _fits(grams[j][width].sum(axis=0)[None], chosen)[0]
     return JointFit(replace(model, joints=joints, widths=widths), used)
 
 
@@ -140,7 +142,7 @@ def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Mod
     for j, used in enumerate(friction.used):
         table = np.column_stack([terms[rows, j], target[rows, j]])
         chosen = np.flatnonzero(used).tolist()
-        joints[j, chosen] = _fit(table.T @ table, chosen)
+        joints[j, chosen] = _fits((table.T @ table)[None], chosen)[0]
     return replace(model, joints=joints)
 
 
@@ -198,7 +200,10 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
     """Solve many least-squares problems at once; only `SIGNED` terms may become negative."""
     index: Integers = np.array(chosen)
     matrices = grams[..., index[:, None], index].copy()
-    _expect_little_load(matrices, grams, index)
+    # Expect a small load friction, because a constant load looks like Coulomb friction.
+    squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
+    for k in np.flatnonzero(index == LOAD):
+        matrices[..., k, k] += squares / LARGEST_LOAD**2
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrices, axis1=-2, axis2=-1), 1e-300))
     matrices *= scale[..., None] * scale[..., None, :]
     matrices += 1e-10 * np.eye(len(index))
@@ -206,28 +211,10 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
     solutions = np.linalg.solve(matrices, vectors[..., None])[..., 0]
     wrong = (solutions[..., ~SIGNED[index]] < 0.0).any(axis=-1)
     for at in zip(*np.nonzero(wrong), strict=True):
-        solutions[at] = _nonnegative(matrices[at], vectors[at], SIGNED[index])
+        root = np.linalg.cholesky(matrices[at]).T
+        vector = np.linalg.solve(root.T, vectors[at])
+        solutions[at] = fit_nonnegative(root, vector, SIGNED[index])[0]
     return np.asarray(scale * solutions)
-
-
-def _fit(gram: Floats, chosen: Sequence[int]) -> Floats:
-    """Solve a least-squares problem, given the products of its columns."""
-    return np.asarray(_fits(gram[None], chosen)[0])
-
-
-def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> None:
-    """Expect a small load friction, because a constant load looks like Coulomb friction."""
-    squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
-    for k in np.flatnonzero(index == LOAD):
-        matrices[..., k, k] += squares / LARGEST_LOAD**2
-
-
-def _nonnegative(matrix: Floats, vector: Floats, signed: Booleans) -> Floats:
-    factors: Floats = np.asarray(np.linalg.solve(matrix, vector))
-    if (factors[~signed] >= 0.0).all():
-        return factors
-    root = np.linalg.cholesky(matrix).T
-    return fit_nonnegative(root, np.linalg.solve(root.T, vector), signed)[0]
 
 
 # ---- Gains --------------------------------------------------------------------------------------

@@ -11,10 +11,10 @@ from ...errors import significant
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import PARAMETERS
 from ..columns import base_parameters
-from ..recordings.signals import Motion
+from ..recordings.signals import Motion, rms
 from .drives import common_factor, Delay, fit_terms, JointFit
-from .fit import mass_information, RobotFit, UrdfWeight, weights_of
-from .preparation import PreparedRecording, rms, TrainingData
+from .fit import mass_information, RobotFit, weights_of
+from .preparation import PreparedRecording, TrainingData
 from .regression import (
     ARMATURE,
     COULOMB,
@@ -52,7 +52,7 @@ SLOW = 0.2
 FAST_ENOUGH = 0.5
 """A joint that exceeds this speed need not be faster [rad/s or m/s]."""
 LITTLE = 0.5
-"""A mass needs more data if recordings give less than this fraction of its information."""
+"""A mass needs more data if less than this fraction of its information was recorded."""
 MOST_ADVICE = 4
 """Largest number of suggestions."""
 
@@ -62,7 +62,8 @@ def evaluate(
     fit: RobotFit,
     friction: JointFit,
     delay: Delay,
-    urdf_weight: UrdfWeight,
+    urdf_weight: float,
+    trials: dict[float, float],
     validation: Sequence[PreparedRecording],
 ) -> IdentificationResult:
     """
@@ -103,10 +104,8 @@ def evaluate(
         fixed=_fixed(problem),
         inertials=identified.link_inertials(fit.model.bodies) if accepted else {},
         unseen=unseen,
-        urdf_weight=urdf_weight.value,
-        trials=tuple(
-            (trial.urdf_weight, float(trial.losses.sum())) for trial in urdf_weight.trials
-        ),
+        urdf_weight=urdf_weight,
+        trials=trials,
         delay=delay.seconds,
         delay_error=delay.error,
         delay_removed=data.correction.delay,
@@ -503,7 +502,7 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
 
 
 def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
-    """Return suggestions for the next recording, the most useful first."""
+    """Return suggestions for the next recording; the most useful suggestion comes first."""
     problem = data.problem
     robot = problem.identified.robot
     advice = [

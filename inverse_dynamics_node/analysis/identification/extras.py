@@ -1,8 +1,8 @@
 """
 Adds terms that few robots need: springs and coupled drives.
 
-Other unknowns may look like these terms. Therefore, a term is added only if it improves the whole
-model: predictions of blocks that were left out of the fit must be clearly better.
+Other unknowns may look like a spring or a coupling. Therefore, a term is added only if the whole
+model improves: predictions of blocks that were left out of the fit must be clearly better.
 """
 
 from __future__ import annotations
@@ -40,13 +40,15 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
     used[:, WIDTH] = moving
     equations = Equations(regression, fit.model)
     base = _solved(fit, equations, used, fit.model)
-    trials = []
+    losses, trials = _fitted_losses(base), []
     for joints, least, make in _candidates(regression, moving, fit, equations, used):
         try:
             trial = make()
         except np.linalg.LinAlgError:  # the recordings do not determine the extra
             continue
-        trials.append((_fitted_gain(base, trial, joints) / least, joints, least, trial))
+        reduction = float(losses.sum() - _fitted_losses(trial).sum())
+        relative = reduction / max(float(losses[joints].sum()), 1e-300)
+        trials.append((relative / least, joints, least, trial))
     for gain, joints, least, trial in sorted(trials, key=lambda each: -each[0]):
         if gain >= 1.0 and is_needed(base, trial, joints, least):
             return trial._replace(model=trial.model.with_fitted_shapes())
@@ -119,9 +121,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
     Return whether the drive of a joint could also turn with the preceding joint.
 
-    This happens in wrists: the drive is mounted before both joints, and its gears run through the
-    first joint. A wrist is at the end of a chain. Both joints are revolute, and their axes
-    intersect. Joints that moved in a fixed ratio are excluded: their columns are collinear.
+    Some wrists have such drives: the drive is mounted before both joints, and its gears run
+    through the first joint. A wrist is at the end of a chain. Both joints are revolute, and their
+    axes intersect. Joints that moved in a fixed ratio are excluded: their columns are collinear.
 
     """
     problem = regression.problem
@@ -185,7 +187,8 @@ def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> R
         couplings[j] = ratio
         return replace(fit.model, couplings=couplings)
 
-    best = min((fitted(with_ratio(ratio)) for ratio in RATIOS), key=_fitted_loss)
+    trials = (fitted(with_ratio(ratio)) for ratio in RATIOS)
+    best = min(trials, key=lambda trial: float(_fitted_losses(trial).sum()))
     used = used.copy()
     used[j, RATIO] = True
     for _ in range(RATIO_ROUNDS):
@@ -207,16 +210,6 @@ def _fitted_losses(fit: RobotFit) -> Floats:
     equations = fit.equations
     squares = [equations.squares(fit.model, k) for k in range(equations.block_count)]
     return np.asarray(fit.weights * np.sum(squares, axis=0))
-
-
-def _fitted_loss(fit: RobotFit) -> float:
-    return float(_fitted_losses(fit).sum())
-
-
-def _fitted_gain(base: RobotFit, fit: RobotFit, joints: Sequence[int]) -> float:
-    """Return how much a larger model reduces squared residuals, relative to those of `joints`."""
-    losses = _fitted_losses(base)
-    return (float(losses.sum()) - _fitted_loss(fit)) / max(float(losses[joints].sum()), 1e-300)
 
 
 def _unseen_losses(fit: RobotFit) -> Floats:

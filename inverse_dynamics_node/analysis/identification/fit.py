@@ -36,7 +36,7 @@ With a weight of 1, a mass that the recordings do not determine has a standard e
 EXPECTED_ERROR = 0.3
 """Expected standard deviation of the relative errors of masses in a robot description."""
 ENOUGH = 0.9
-"""A mass may more than double if this fraction of its information comes from recordings."""
+"""A mass may more than double only if at least this fraction of its information was recorded."""
 MOST_GROWTH = 2.0
 """Largest factor by which a mass may grow, unless the recordings determine the mass."""
 _MOST_STEPS = 200
@@ -68,7 +68,7 @@ class RobotFit(NamedTuple):
 
 
 def correlation(residual: Floats) -> float:
-    """Return how many successive rows contain as much information as one independent row."""
+    """Return the number of successive rows with as much information as one independent row."""
     values = residual - residual.mean()
     count = len(values)
     spectrum = np.fft.rfft(values, 2 * count)
@@ -179,32 +179,19 @@ def solve(
     return RobotFit(equations, weights, used, model, unknowns, hessian, prior)
 
 
-class Trial(NamedTuple):
-    """A weight of the robot description that was tried."""
-
-    urdf_weight: float
-    losses: Floats
-    """Weighted squared residuals of blocks that were left out of the fit, shape (blocks,)."""
-
-
-class UrdfWeight(NamedTuple):
-    """The chosen weight of the robot description."""
-
-    value: float
-    trials: tuple[Trial, ...]
-    """All weights that were tried."""
-
-
-def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
+def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
     """
     Return the strongest weight whose prediction is not clearly worse than the best one.
+
+    The second result contains the loss of each weight that was tried: the weighted squared
+    residuals of blocks that were left out of the fit.
 
     Each block of the recordings is predicted by a fit to the other blocks. A prediction is clearly
     worse if its loss exceeds the smallest loss by more than the standard error of this difference.
 
     """
     equations, weights, used = fit.equations, fit.weights, fit.used
-    trials = []
+    trials: dict[float, Floats] = {}  # losses of the blocks
     models = [fit.model] * equations.block_count
     bodies = len(fit.model.bodies)
     for urdf_weight in URDF_WEIGHTS:
@@ -213,14 +200,17 @@ def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
             own = np.full(bodies, urdf_weight)
             models[k] = solve(equations, weights, own, used, models[k], k).model
             losses.append(float(weights @ equations.squares(models[k], k)))
-        trials.append(Trial(float(urdf_weight), np.array(losses)))
-    best = min(trials, key=lambda trial: trial.losses.sum())
-    for trial in trials:
-        excess = trial.losses - best.losses
+        trials[float(urdf_weight)] = np.array(losses)
+    totals = {urdf_weight: float(own.sum()) for urdf_weight, own in trials.items()}
+    best = min(totals, key=lambda urdf_weight: totals[urdf_weight])
+    least = trials[best]
+
+    def is_as_good(losses: Floats) -> bool:
+        excess = losses - least
         error = np.sqrt(len(excess)) * excess.std(ddof=1) if len(excess) > 1 else 0.0
-        if excess.sum() <= min(error, 0.05 * best.losses.sum()):
-            return UrdfWeight(trial.urdf_weight, tuple(trials))
-    return UrdfWeight(best.urdf_weight, tuple(trials))
+        return bool(excess.sum() <= min(error, 0.05 * least.sum()))
+
+    return next((weight for weight, own in trials.items() if is_as_good(own)), best), totals
 
 
 def solve_within_reason(
@@ -361,8 +351,11 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
     """
     from scipy.linalg import cho_factor, cho_solve
 
+    def objective(x: Floats) -> float:
+        return 0.5 * float(x @ matrix @ x) - float(vector @ x) + prior.value(x)
+
     x = start.copy()
-    value = _value(matrix, vector, prior, x)
+    value = objective(x)
     hessian = matrix
     for _ in range(_MOST_STEPS):
         gradient, hessian = prior.derivatives(x)
@@ -378,7 +371,7 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
             break
         length = prior.longest_step(x, step)
         while length > 1e-6:
-            trial = _value(matrix, vector, prior, x + length * step)
+            trial = objective(x + length * step)
             if trial <= value - 1e-4 * length * decrement + 1e-14 * abs(value):
                 break
             length *= 0.5
@@ -386,7 +379,3 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
             break  # rounding errors: there is no better point
         x, value = x + length * step, trial
     return x, hessian
-
-
-def _value(matrix: Floats, vector: Floats, prior: Prior, x: Floats) -> float:
-    return 0.5 * float(x @ matrix @ x) - float(vector @ x) + prior.value(x)

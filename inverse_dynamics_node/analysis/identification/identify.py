@@ -83,13 +83,13 @@ def identify_parameters(
             data, fit = fit_gains(data, fit)
         progress(0.6)
         fit = fit._replace(weights=weights_of(data.regression.residual(fit.model)))
-        urdf_weight = choose_urdf_weight(fit)
+        urdf_weight, trials = choose_urdf_weight(fit)
         progress(0.9)
-        fit = fit_with_widths(data, fit, urdf_weight.value)
+        fit = fit_with_widths(data, fit, urdf_weight)
         if (needed := without_useless_extras(data.regression, fit)) is not fit:
-            fit = fit_with_widths(data, needed, urdf_weight.value)
+            fit = fit_with_widths(data, needed, urdf_weight)
         friction = fit_friction(data)
-        return evaluate(data, fit, friction, delay, urdf_weight, unseen)
+        return evaluate(data, fit, friction, delay, urdf_weight, trials, unseen)
     except np.linalg.LinAlgError as error:
         raise RecordingError(
             f'the recordings contain too little information: the fit has no solution ({error}); '

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.resampling import pieces
-from ..recordings.signals import derive, Motion, Recording, without_turns
+from ..recordings.signals import derive, Motion, Recording, rms, without_turns
 from .drives import EffortCorrection, widths_to_try
 from .regression import IdentificationProblem, Regression
 
@@ -146,11 +146,6 @@ def _stretch(recording: Recording) -> float:
 def _relative_noise(motion: Motion) -> Floats:
     """Return the noise of the accelerations relative to their RMS, shape (joints,)."""
     return np.asarray(motion.qdd_noise / np.maximum(rms(motion.qdd), 1e-9))
-
-
-def rms(values: Floats) -> Floats:
-    """Return the root mean square of each column."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _prepare(

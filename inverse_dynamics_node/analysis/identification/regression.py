@@ -408,17 +408,12 @@ class Regression:
         return self.efforts - self.predict(model)
 
     def _smooth(self, signals: Sequence[Floats]) -> Floats:
-        return np.concatenate(
-            [smooth(values) for smooth, values in zip(self.resamplers, signals, strict=True)]
-        )
+        pairs = zip(self.resamplers, signals, strict=True)
+        return np.concatenate([smooth(values) for smooth, values in pairs])
 
     def _smooth_discontinuous(self, signals: Sequence[Floats]) -> Floats:
-        return np.concatenate(
-            [
-                smooth.discontinuous(values)
-                for smooth, values in zip(self.resamplers, signals, strict=True)
-            ]
-        )
+        pairs = zip(self.resamplers, signals, strict=True)
+        return np.concatenate([smooth.discontinuous(values) for smooth, values in pairs])
 
     def _blocks(self, count: int) -> Integers:
         """Return the block of every row; blocks have equal durations and share no rows."""

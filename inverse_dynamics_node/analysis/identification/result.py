@@ -138,10 +138,10 @@ class IdentificationResult:
     unseen: Unseen
     urdf_weight: float
     """Weight of the robot description in the fit."""
-    trials: tuple[tuple[float, float], ...]
-    """Pairs of a tried weight of the robot description, and its loss on unseen blocks."""
+    trials: dict[float, float]
+    """Loss on unseen blocks for each weight of the robot description that was tried."""
     delay: float
-    """Time by which measured efforts are late [s]; the fit removed `delay_removed` of it."""
+    """Time by which measured efforts are late [s]; the fit removed the part `delay_removed`."""
     delay_error: float
     delay_removed: float
     smoothing: float

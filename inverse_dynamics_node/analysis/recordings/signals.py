@@ -37,7 +37,7 @@ MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not che
 
 MAX_LAG = 0.5  # [s]; larger lags are not searched for
 MIN_LAG = 0.01  # [s]; at 1 Hz, this lag is an error of 6 % of the accelerations
-LAG_EXPLAINS = 0.25  # a lag leaves at most this fraction of the squared difference
+LAG_EXPLAINS = 0.25  # a lag must leave at most this fraction of the squared difference
 FINEST = 0.005  # [s] between compared lags; the best lag is interpolated
 MAX_SHAPE = 0.2  # largest relative difference between a shifted velocity and the derived one
 
@@ -138,11 +138,10 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     half = max(round(0.5 * stretch * seconds / period), (degree + MIN_SLACK) // 2)
     pieces, grids, lost = [], [], 0.0
     for begin, end in _common_spans(columns):
-        count = int((end - begin) / period + 1e-6) + 1
-        if count < 4 * half:
+        grid = _grid(begin, end, period)
+        if len(grid) < 4 * half:
             lost += end - begin
             continue
-        grid: Floats = begin + period * np.arange(count, dtype=np.float64)
         pieces.append(_smooth(columns, orders, grid, period, (2 * half + 1, degree)))
         grids.append(grid)
     if not pieces:
@@ -155,7 +154,6 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         np.concatenate(parts) for parts in zip(*pieces, strict=True)
     )
     notes = _notes(columns, inconsistent, len(pieces), lost)
-    method = _method(orders, period, 2 * half + 1, degree)
     window = 2 * half + 1
     longest = max(grids, key=len)
     noise = [
@@ -174,7 +172,7 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         window,
         degree,
         recording.joint_names,
-        method,
+        _method(orders, period, window, degree),
         notes,
         effort_noise=np.array([each[0] for each in noise]),
         qdd_noise=np.array([each[1] for each in noise]),
@@ -183,6 +181,12 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         raw_efforts=raw,
         qd_noise=np.array([each[2] for each in noise]),
     )
+
+
+def _grid(begin: float, end: float, period: float) -> Floats:
+    """Return uniform times from `begin` to at most `end`."""
+    count = int((end - begin) / period + 1e-6) + 1
+    return np.asarray(begin + period * np.arange(count, dtype=np.float64))
 
 
 def _checked(recording: Recording) -> Floats:
@@ -222,9 +226,7 @@ def _orders(
         if column.qd is None:
             orders.append(2)
             continue
-        begin, end = max(column.spans(), key=lambda span: span[1] - span[0])
-        count = int((end - begin) / period + 1e-6) + 1
-        grid: Floats = begin + period * np.arange(count, dtype=np.float64)
+        grid = _grid(*max(column.spans(), key=lambda span: span[1] - span[0]), period)
         half = max(round(0.5 * WINDOWS[1][0] / period), 3)
         if len(grid) < 4 * half:
             orders.append(1)
@@ -232,7 +234,7 @@ def _orders(
         q = column.at(column.q, grid)
         rate = savgol_filter(q, 2 * half + 1, 3, 1, period)
         recorded = savgol_filter(column.at(column.qd, grid), 2 * half + 1, 3)
-        size, difference = _rms(rate), _rms(rate - recorded)
+        size, difference = rms(rate), rms(rate - recorded)
         late = lag(recorded, rate, period) if size > MIN_SPEED else 0.0
         is_wrong = size > MIN_SPEED and difference > MAX_DIFFERENCE * size
         orders.append(2 if is_wrong or late else 1)
@@ -265,8 +267,7 @@ def _smooth(
     from scipy.signal import savgol_filter
 
     def smooth(values: Floats, order: int = 0) -> Floats:
-        result: Floats = savgol_filter(values, *window, deriv=order, delta=period, axis=0)
-        return result
+        return np.asarray(savgol_filter(values, *window, deriv=order, delta=period, axis=0))
 
     q = np.column_stack([column.at(column.q, grid) for column in columns])
     tau = np.column_stack(
@@ -348,8 +349,9 @@ def _notes(
     return tuple(notes)
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def rms(values: Floats) -> Floats:
+    """Return the root mean square of each column."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 # ---- One joint -----------------------------------------------------------------------------
@@ -408,8 +410,7 @@ class RecordedColumn:
         t = self.t[inside]
         # A knot beyond a gap would distort the spline near the last samples before it.
         near = (t >= grid[0] - 1e-9) & (t <= grid[-1] + self.period)
-        found: Floats = CubicSpline(t[near], values[inside][near])(grid)
-        return found
+        return np.asarray(CubicSpline(t[near], values[inside][near])(grid))
 
 
 def _merge(values: Floats, closest: float) -> tuple[Floats, int]:

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.excitation import Clearance, Excitation, Extent, whole_positions
+from ...analysis.excitation.clearance import Clearance, Extent
+from ...analysis.excitation.limits import whole_positions
+from ...analysis.excitation.search import Excitation
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.trajectory import Trajectory
 from ...robot.kinematics import body_frames, last_link
