@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...report import quantities
-from ...report.tables import all_shortened, wrapped
+from ...report.tables import all_shortened, number, wrapped
 from ...robot.model import Floats
 from ..output_files import new_file
 
@@ -95,7 +94,7 @@ def set_title(figure: Any, *paragraphs: str) -> None:
 def peak_in_words(peak: float, limit: float, unit: str) -> str:
     """Write a peak effort and the limit of the joint."""
     return (
-        f'{peak:.3g} of {quantities.number(limit)} {unit}'
+        f'{peak:.3g} of {number(limit)} {unit}'
         if limit < math.inf
         else f'{peak:.3g} {unit}, no limit'
     )
@@ -104,11 +103,11 @@ def peak_in_words(peak: float, limit: float, unit: str) -> str:
 def runs_of(numbers: Sequence[int]) -> str:
     """List numbers, with a dash for three or more in a row: '1, 3-6'."""
     runs: list[list[int]] = []
-    for number in sorted(numbers):
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
+    for each in sorted(numbers):
+        if runs and each == runs[-1][-1] + 1:
+            runs[-1].append(each)
         else:
-            runs.append([number])
+            runs.append([each])
     return ', '.join(
         f'{run[0]}-{run[-1]}' if len(run) > 2 else ', '.join(map(str, run)) for run in runs
     )
