@@ -13,16 +13,14 @@ _HEADER = """\
 <!-- Permissions for topics and services. doc/security.md describes how to use this file, and
      how to make one for other names. A node that lacks permission for a topic does not start. -->
 """
-_TYPE_DESCRIPTION = '~/get_type_description'
-_SERVICES_OF_ROS = (
-    *LIFECYCLE_SERVICES,
-    '~/describe_parameters',
-    '~/get_parameter_types',
-    '~/get_parameters',
-    '~/list_parameters',
-    '~/set_parameters',
-    '~/set_parameters_atomically',
-    _TYPE_DESCRIPTION,
+_SERVICES_OF_EVERY_NODE = (
+    'describe_parameters',
+    'get_parameter_types',
+    'get_parameters',
+    'list_parameters',
+    'set_parameters',
+    'set_parameters_atomically',
+    'get_type_description',
 )
 _ROBOT = 'joint_states', 'robot_description', 'imu'  # published by the robot, not by the user
 _COMMANDS = '~/commands', '~/joint_commands', '~/joint_efforts'
@@ -35,7 +33,7 @@ _WATCHED = (
     '~/external_efforts',
 )
 _EVENTS = '/parameter_events'  # every node of rclpy publishes on it
-_COMMAND_LINE = '/_ros2cli_*/get_type_description'  # offered by the nodes of `ros2 ...`
+_SIMULATED = 'payload', 'push', 'tilt', 'sensors'  # own topics of `inverse_dynamics simulate`
 
 
 class Enclave(NamedTuple):
@@ -73,7 +71,9 @@ def enclaves(
         return tuple(dict.fromkeys(map(names.resolve, given)))
 
     clock = ('/clock',) * names.uses_sim_time
-    offered = resolved((*services, *_SERVICES_OF_ROS))
+    own = (f'~/{name}' for name in _SERVICES_OF_EVERY_NODE)
+    offered = resolved((*services, *LIFECYCLE_SERVICES, *own))
+    simulated = f'{parent}/simulated_robot'
     node = Enclave(
         names.full_name,
         names.namespace,
@@ -86,8 +86,9 @@ def enclaves(
         f'{parent}/driver',
         names.namespace,
         'driver',
-        subscribe=resolved(_COMMANDS),
-        publish=(*resolved((*_ROBOT, *clock)), '/rosout', _EVENTS),
+        subscribe=(*resolved(_COMMANDS), *(f'{simulated}/{topic}' for topic in _SIMULATED)),
+        publish=(*resolved((*_ROBOT, *clock, 'brakes')), '/rosout', _EVENTS),
+        reply=tuple(f'{simulated}/{name}' for name in ('hold', *_SERVICES_OF_EVERY_NODE)),
     )
     watch = Enclave(
         f'{parent}/watch',
@@ -103,7 +104,8 @@ def enclaves(
         'operator',
         subscribe=resolved((*published, *PUBLISHED_BY_ROS, *_ROBOT, *clock)),
         publish=(*resolved(inputs), '/rosout', _EVENTS),
-        reply=(_COMMAND_LINE,),
+        # The nodes of `ros2` and of programs with references have any name.
+        reply=tuple(f'/*/{name}' for name in _SERVICES_OF_EVERY_NODE),
         request=offered,
     )
     return node, driver, watch, operator

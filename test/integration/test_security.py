@@ -1,15 +1,21 @@
 """The policy of SROS 2 covers the node, and the node never starts without requested security."""
 
 from contextlib import nullcontext
+from fnmatch import fnmatchcase
 
 from fork_server import SERVER
+from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.help import enclaves_for
 from inverse_dynamics_node.node.node import InverseDynamicsNode
 from inverse_dynamics_node.ros.middleware import check_security
+from inverse_dynamics_node.simulation.drive import PositionDrive
+from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
+from inverse_dynamics_node.simulation.robot import RobotNode
 from node_process import PATIENCE
 import pytest
 from rclpy.context import Context
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from robot_files import STANFORD
 
@@ -30,9 +36,9 @@ def start(domain_id):
     """Return a function that creates the node in this process, with ROS arguments."""
     context, nodes = Context(), []
 
-    def create(arguments):
+    def create(arguments, kind=InverseDynamicsNode):
         context.init(args=arguments, domain_id=domain_id)
-        nodes.append(InverseDynamicsNode(context=context))
+        nodes.append(kind(context=context))
         return nodes[-1]
 
     yield create
@@ -46,15 +52,47 @@ def test_the_policy_covers_exactly_the_names_of_the_node(name, start):
     arguments = ['--ros-args', *CONFIGURATIONS[name]]
     node = start(arguments)
     enclave, *_ = enclaves_for(arguments)
-    own = node.get_name(), node.get_namespace()
     assert enclave.path == node.get_fully_qualified_name()
-    for permitted, find in (
-        (enclave.subscribe, node.get_subscriber_names_and_types_by_node),
-        (enclave.publish, node.get_publisher_names_and_types_by_node),
-        (enclave.reply, node.get_service_names_and_types_by_node),
-        (enclave.request, node.get_client_names_and_types_by_node),
-    ):
-        assert sorted(permitted) == sorted(name for name, _ in find(*own)), 'run `make parameters`'
+    for permitted, used in permissions(enclave, node):
+        assert sorted(permitted) == sorted(used), 'run `make parameters`'
+
+
+def permissions(enclave, node):
+    """Return pairs of the names that an enclave permits and the names that a node uses."""
+    own = node.get_name(), node.get_namespace()
+    return [
+        (permitted, [name for name, _ in find(*own)])
+        for permitted, find in (
+            (enclave.subscribe, node.get_subscriber_names_and_types_by_node),
+            (enclave.publish, node.get_publisher_names_and_types_by_node),
+            (enclave.reply, node.get_service_names_and_types_by_node),
+            (enclave.request, node.get_client_names_and_types_by_node),
+        )
+    ]
+
+
+def simulated_robot(context):
+    robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0.0] * 6)
+    return RobotNode(robot, 0.5, drive=PositionDrive(robot, False), context=context)
+
+
+def program(context):
+    return Node('program', context=context)
+
+
+@pytest.mark.parametrize(('kind', 'name'), [(simulated_robot, 'driver'), (program, 'operator')])
+@pytest.mark.parametrize('parent', ['', '/left'])
+def test_the_policy_covers_programs_around_the_node(kind, name, parent, start):
+    namespace = ['-r', f'__ns:={parent}'] if parent else []
+    commands = f'commands:={parent}/inverse_dynamics/commands'
+    node = start(['--ros-args', *namespace, '-r', commands], kind)
+    (enclave,) = (
+        x for x in enclaves_for(['--ros-args', *namespace]) if x.path == f'{parent}/{name}'
+    )
+    for permitted, used in permissions(enclave, node):
+        for each in used:
+            assert any(fnmatchcase(each, pattern) for pattern in permitted), each
+    assert len(node.get_service_names_and_types_by_node(node.get_name(), parent or '/')) >= 7
 
 
 def test_the_configurations_differ(start):
