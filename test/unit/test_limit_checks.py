@@ -112,7 +112,7 @@ def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
     assert degrees.hint == 'convert the positions to radians'
     assert str(other) == 'slide is at 2 m, outside its limits 0 to 0.04'
     assert other.hint.startswith(
-        'check units (rad, m), zero positions and the order of the joints'
+        'check units (rad, m), zero positions, the order of the joints'
     )
     assert position_warnings(robot, [0.0, 0.0, 0.0, 0.0]) == ()
 

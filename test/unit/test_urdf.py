@@ -333,7 +333,7 @@ ELEMENT_PROBLEMS = [
         [('"prismatic"', '"planar"')],
         "joint type 'planar' is not supported; use two prismatic joints and a continuous one",
     ),
-    ([('"prismatic"', '"floating"')], "joint type 'floating' is not supported; remove it"),
+    ([('"prismatic"', '"floating"')], "joint type 'floating' is not supported; remove this joint"),
     # mass
     ([(L1_MASS, '')], 'line 5: link \'l1\' inertial: <mass value="..."/> is missing'),
     ([(L1_MASS, '<mass/>')], 'link \'l1\' inertial: <mass value="..."/> is missing'),
