@@ -111,9 +111,7 @@ def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
     assert str(degrees) == 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
     assert degrees.hint == 'convert the positions to radians'
     assert str(other) == 'slide is at 2 m, outside its limits 0 to 0.04'
-    assert other.hint.startswith(
-        'check units (rad, m), zero positions, the order of the joints'
-    )
+    assert other.hint.startswith('check units (rad, m), zero positions, the order of the joints')
     assert position_warnings(robot, [0.0, 0.0, 0.0, 0.0]) == ()
 
 
