@@ -155,6 +155,7 @@ class Tracking:
         self.robot.wait_until(lambda: time.monotonic() >= end, 'end of the motion')
 
 
+@pytest.mark.long
 @pytest.mark.real_time
 def test_a_load_is_recorded_measured_and_applied_and_the_arm_follows_again(
     domain_id, run_node, robot, payload, ended
