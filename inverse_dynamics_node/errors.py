@@ -25,7 +25,7 @@ class UrdfError(InverseDynamicsError):
     source : str
         Path of the file, or ``'URDF'`` if the description was passed as text.
     problems : tuple of str
-        All problems in the order of the file; there is at least one.
+        One or more problems, in the order of the file.
 
     """
 
@@ -46,7 +46,7 @@ class JointStateError(InverseDynamicsError):
 
 
 class ConfigurationError(InverseDynamicsError):
-    """A setting is invalid or does not fit the robot; ``args`` has one text per problem."""
+    """A setting is invalid or does not fit the robot; ``args`` contains one text per problem."""
 
     def __str__(self) -> str:
         return '\n'.join(map(str, self.args))
@@ -74,30 +74,30 @@ def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
-    """Join names with commas; of more than ``most`` names, show the first ones and the total."""
+    """Join the first ``most`` names with commas; if there are more, append the total number."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Format a number with ``digits`` significant digits, and with all digits before the point."""
+    """Format a number with ``digits`` significant digits, but never round the integer part."""
     text = f'{value:.{digits}g}'
     return f'{value:.0f}' if 'e+' in text else text
 
 
 def plain(value: Any) -> Any:
-    """Convert an array to a list, which prints without its type; return other values unchanged."""
+    """Convert an array to a list, to print it without its type; return other values unchanged."""
     return value.tolist() if hasattr(value, 'tolist') else value
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """Escape control characters; cut text after ``most`` characters, and append its length."""
+    """Escape control characters; cut a long text after ``most`` characters, and add its length."""
     start = escaped(text[:most])
     return start if len(text) <= most else f'{start}... ({len(text)} characters)'
 
 
 def escaped(text: str) -> str:
-    r"""Replace characters that are not printable, including line ends, with escapes (``\x1b``)."""
+    r"""Replace non-printable characters, including line ends, with escapes such as ``\x1b``."""
     if text.isprintable():
         return text
     return ''.join(x if x.isprintable() else x.encode('unicode_escape').decode() for x in text)

@@ -1,11 +1,11 @@
 """
-Columns of regressions, and least squares with them.
+Columns of regressions, and least-squares fits.
 
 A column contains the efforts that one unit of an unknown causes. Efforts are linear in gravity, in
 the inertial parameters of bodies and payloads, and in friction. Efforts depend only on certain
-combinations of the inertial parameters, the base parameters. A QR decomposition with pivoting of a
-regressor at random states selects the independent columns [1]_. All remaining columns are
-combinations of the selected columns.
+combinations of the inertial parameters, called the base parameters. A QR decomposition with
+pivoting selects the independent columns of a regressor at random states [1]_. All remaining
+columns are combinations of the selected columns.
 
 References
 ----------
@@ -33,7 +33,7 @@ STATES_AT_ONCE = 2000  # limits the memory for regressors
 
 
 def direction_of(qd: Floats, width: Floats | float) -> Floats:
-    """Return the direction of Coulomb friction, smoothed over the speed `width` [rad/s or m/s]."""
+    """Return ``tanh(qd / width)``: the direction of motion, smoothed over a speed `width`."""
     return np.asarray(np.tanh(qd / width))
 
 
@@ -41,11 +41,11 @@ def friction_columns(
     qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
 ) -> Floats:
     """
-    Return columns of damping, Coulomb friction, load friction and offset, shape (samples, 4).
+    Return columns for damping, Coulomb friction, load friction and offset, shape (samples, 4).
 
-    `qd` are the velocities of one joint, and `width` is the speed over which Coulomb friction is
-    smoothed [rad/s or m/s]. `load` is the magnitude of the effort that moves the links [N m or N].
-    `smooth` smooths columns in the same way as the measured efforts.
+    `qd` contains the velocities of one joint, and `width` is the speed over which Coulomb friction
+    is smoothed [rad/s or m/s]. `load` is the magnitude of the effort that moves the links [N m or
+    N]. `smooth` applies the smoothing of the measured efforts to columns.
 
     """
     direction = direction_of(qd, width)
@@ -67,11 +67,12 @@ def body_columns(
     dynamics: InverseDynamics, states: tuple[Floats, Floats, Floats], bodies: Sequence[int]
 ) -> Floats:
     """
-    Return the columns of the regressor that belong to some bodies.
+    Return the regressor columns of the given bodies.
 
     The states are positions, velocities and accelerations, each of shape (samples, joints).
-    `bodies` are indices of bodies of the robot, without the base. The result has the shape
-    (samples, joints, 10 per body), and its columns have the order of `InverseDynamics.regressor`.
+    `bodies` contains indices of bodies of the robot, but not of the base. The result has the shape
+    (samples, joints, 10 per body). For each body, the columns have the order of
+    `InverseDynamics.regressor`.
 
     """
     first: Integers = PARAMETERS * (np.array(bodies) - 1)
@@ -89,13 +90,13 @@ def payload_columns(
     """
     Return the efforts of a load on a link, separately for each parameter of the load.
 
-    The second moment of mass, in homogeneous coordinates of the link, describes a load. The
-    inertial parameters of the load are linear in this moment, and the efforts are linear in the
-    parameters. `gravity` is the free-fall acceleration in the frame of the base link [m/s^2].
+    The parameters are the entries of the load's pseudo-inertia matrix in the frame of the link.
+    The efforts are linear in these entries. `gravity` is the free-fall acceleration in the frame
+    of the base link [m/s^2].
 
-    The result has the shape (samples, joints, 10). Its columns are efforts for a mass of 1 kg, for
-    first moments of 1 kg m along x, y and z, and for second moments xx, yy, zz, xy, xz and yz of 1
-    kg m^2.
+    The result has the shape (samples, joints, 10). The columns are the efforts for a mass of 1 kg,
+    for first moments of 1 kg m along x, y and z, and for second moments xx, yy, zz, xy, xz and yz
+    of 1 kg m^2.
 
     """
     k = robot.link_index(link)
@@ -111,7 +112,7 @@ def payload_columns(
 
 
 def moment_matrices(parameters: Floats) -> Floats:
-    """Return the second moments of mass of loads in homogeneous coordinates, shape (..., 4, 4)."""
+    """Convert parameters of loads, shape (..., 10), to pseudo-inertias, shape (..., 4, 4)."""
     matrices = np.zeros((*parameters.shape[:-1], 4, 4))
     for k, (i, j) in enumerate(_MOMENTS):
         matrices[..., i, j] = matrices[..., j, i] = parameters[..., k]
@@ -119,22 +120,23 @@ def moment_matrices(parameters: Floats) -> Floats:
 
 
 SECOND_MOMENTS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
-"""Axes of the six second moments among the parameters of a load: xx, yy, zz, xy, xz and yz."""
+"""Pairs of axes of the second moments of mass of a load: xx, yy, zz, xy, xz and yz."""
 _MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), *SECOND_MOMENTS
-"""Row and column of each parameter of a load in the 4 x 4 matrix of its moments."""
+"""Row and column of each parameter of a load in the pseudo-inertia matrix."""
 
 
 # ---- Base parameters -----------------------------------------------------------------------
 
 
 class BaseParameters(NamedTuple):
-    """Combinations of inertial parameters that determine the efforts."""
+    """The combinations of inertial parameters on which the efforts depend."""
 
     combinations: Floats
     """Factors of the parameters in each combination, shape (combinations, parameters)."""
     leading: Integers
     """
-    Index of the leading parameter, which has the factor 1 in its combination and 0 in the others.
+    Index of the leading parameter of each combination. The factor of this parameter is 1 in its
+    own combination and 0 in all other combinations.
     """
 
     def names(self, links: tuple[str, ...]) -> list[str]:
@@ -148,8 +150,8 @@ def base_parameters(matrix: Floats) -> BaseParameters:
     """
     Find the independent combinations of the columns of a matrix, shape (rows, parameters).
 
-    The rows are those of a regressor at random states. If columns depend on each other, the larger
-    columns are selected.
+    The rows are those of a regressor at random states. If columns are linearly
+    dependent, the larger columns are selected.
 
     """
     from scipy.linalg import qr, solve_triangular
@@ -172,10 +174,10 @@ def fit_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
 ) -> tuple[Floats, float]:
     """
-    Fit a target, shape (rows,), by a sum of columns with nonnegative factors.
+    Fit columns with nonnegative factors to a target, shape (rows,).
 
     `features` contains the columns, shape (rows, columns). Columns in `signed`, such as an offset,
-    may have negative factors. Returns the factors, and the sum of squares of the residual.
+    may have negative factors. Returns the factors and the sum of squared residuals.
 
     """
     from scipy.optimize import nnls

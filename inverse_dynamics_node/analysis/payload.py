@@ -2,11 +2,12 @@
 Measures the payload of a robot from recordings with and without the payload.
 
 A robot repeats one motion with and without a payload. The efforts of the two runs differ by the
-efforts of the payload, which are linear in its ten inertial parameters. Friction, offsets and
-errors of link masses affect both runs equally, and cancel.
+efforts of the payload, which are linear in the payload's ten inertial parameters. Friction,
+offsets and errors of link masses affect both runs equally and cancel.
 
-Without an empty run, the links are unknowns as well. They are assumed to have the usual errors of
-robot descriptions. The standard error of the payload contains the effect of these errors.
+Without an empty run, the inertial parameters of the links are unknown as well. Their errors are
+assumed to be as large as usual in robot descriptions. The standard error of the payload includes
+the effect of these errors.
 """
 
 from __future__ import annotations
@@ -42,23 +43,23 @@ from .recordings.signals import Motion, Recording
 
 STILL = 0.01  # [rad/s or m/s]; the arm rests while all joints are slower
 LEAST_REST = 0.5  # [s]; shortest rest in a pose
-SETTLING = 0.2  # [s]; time that is left out at both ends of a rest
+SETTLING = 0.2  # [s]; time left out at both ends of a rest
 NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between matching states of both runs
-LEAST_MATCHED = 0.5  # fraction of the loaded run that must match states of the empty run
+LEAST_MATCHED = 0.5  # least fraction of the loaded run with a match in the empty run
 WINDOW = 0.15  # [s]; smoothing window
-BLOCKS = 10  # contiguous blocks of a motion; the standard errors include their spread
+BLOCKS = 10  # contiguous blocks of a motion, for jackknife estimates of standard errors
 WIDTH = 0.05  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 GAIN = 0.01  # relative error of the gain of each measured effort
-GAIN_ALONE = 0.05  # the same without an empty run: the gain then multiplies the arm's weight too
-LINK_ERROR = 0.15  # relative error of link masses and of their distribution
-APPARENT = 0.25  # [kg]; payload that empty arms seem to carry; 0.02 to 1.5 on real arms
-REACH_OF_LINKS = 0.1  # [m]; distance of this apparent payload from the link
+GAIN_ALONE = 0.05  # the same without an empty run; the gain then also scales the arm's weight
+LINK_ERROR = 0.15  # relative error of link masses and mass distributions
+APPARENT = 0.25  # [kg]; apparent payload of an empty arm; 0.02 to 1.5 on real arms
+REACH_OF_LINKS = 0.1  # [m]; distance of the apparent payload from the link
 RADIUS = 0.05  # [m]; assumed radius of gyration of a payload
 REACH = 0.5  # [m]; expected distance of the centre of mass from the origin of the link
 MOST_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is unknown
 CERTAIN = 3.0  # a payload is certain if its mass exceeds this many standard errors
-LIGHTEST = 0.1  # [kg]; the extent of a lighter payload does not matter
-LEAST_NOISE = 0.05  # least squared residual, as a fraction of what is typical for the effort
+LIGHTEST = 0.1  # [kg]; lower bound of the mass in priors and second moments
+LEAST_NOISE = 0.05  # least squared residual relative to the effort, as a fraction of the median
 _SMALLEST = 1e-6  # [kg]
 _ROUNDS, _STEPS = 6, 2
 
@@ -82,15 +83,15 @@ class PayloadEstimate:
     times: Floats
     """Times of the samples, shape (samples,) [s]."""
     measured: Floats
-    """Measured efforts minus efforts of arm and friction, shape (samples, joints) [N m or N]."""
+    """Measured efforts minus arm and friction efforts, shape (samples, joints) [N m or N]."""
     fitted: Floats
     """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
     duration: float
-    """Duration of the part of the loaded run that was used [s]."""
+    """Duration of the used part of the loaded run [s]."""
     poses: int
     """Number of poses in which the arm rested; 0 for a motion."""
     matched: float
-    """Fraction of the loaded run that matches the empty run; NaN without an empty run."""
+    """Fraction of the loaded run with a match in the empty run; NaN without an empty run."""
 
     @property
     def residuals(self) -> Floats:
@@ -123,11 +124,11 @@ class _Rows(NamedTuple):
     Columns of terms that act on a single joint, such as friction, shape (rows, joints, terms).
     """
     arm: Floats
-    """Modelled efforts of the arm, shape (rows, joints); a wrong gain scales these efforts too."""
+    """Modelled efforts of the arm, shape (rows, joints); zero if an empty run cancels them."""
     target: Floats
-    """Efforts to explain, shape (rows, joints)."""
+    """Efforts to be explained, shape (rows, joints)."""
     block: Integers
-    """Number of the contiguous block of each row, shape (rows,)."""
+    """Index of the block that contains each row, shape (rows,)."""
 
     def where(self, chosen: Booleans) -> _Rows:
         """Return the chosen rows."""
@@ -217,7 +218,7 @@ def _rests(motion: Motion) -> list[slice]:
 
 
 def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
-    """Return one state for each rest, with the mean positions and efforts and no motion."""
+    """Return one state at rest for each of `rests`, with mean positions and mean efforts."""
     times, q, efforts = (
         np.array([np.mean(signal[each], axis=0) for each in rests])
         for signal in (motion.times, motion.q, motion.efforts)
@@ -227,7 +228,7 @@ def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
 
 
 def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, Booleans]:
-    """Return the nearest empty state of each loaded state, and whether the two states are near."""
+    """Return the nearest empty state of each loaded state, and a mask of the close matches."""
     from scipy.spatial import cKDTree
 
     q = empty.q.copy()
@@ -299,7 +300,7 @@ def _with_mass(robot: RobotModel) -> list[int]:
 
 
 def _prior_of_links(robot: RobotModel) -> Floats:
-    """Return the inverse covariance of the parameters of links with mass, ten rows per link."""
+    """Return the prior precision matrix of the inertial parameters of all links with mass."""
     links = [
         moved_inside(RigidBody(robot.mass[k], robot.com[k], robot.inertia[k]).parameters())
         for k in _with_mass(robot)
@@ -315,7 +316,7 @@ def _prior_of_links(robot: RobotModel) -> Floats:
 
 class _Fit:
     """
-    Least squares for payload, links and joints, with prior knowledge about all of them.
+    Least-squares fit of payload, links and joints, with a prior for all unknowns.
 
     The unknowns of the payload are its mass m, its first moment h, and its second moment S about
     the centre of mass. The efforts are linear in m, h and S + h h^T / m.
@@ -342,15 +343,16 @@ class _Fit:
             self.x = self._solution()
             residual = self.residual()
         self.weights = self._weights(residual)
-        # The spread between blocks shows slow changes, which residuals hide. Fits without a block
-        # estimate the gains again, so the spread is compared with a variance for unknown gains.
-        # A variance for known gains is at most a quarter of this, and would enlarge the errors.
+        # The spread between blocks reveals slow changes, which residuals hide. Each fit without a
+        # block estimates the gains again, so the spread is compared with the variance for unknown
+        # gains. The variance for known gains is at most a quarter of the variance for unknown
+        # gains, and would make the standard errors too large.
         ratio = self._between() / _variance(self.covariances()[1], self.x)
         self.weights = self.weights / max(1.0, float(np.mean(ratio)))
         self.x = self._solution()
 
     def _assemble(self) -> None:
-        """Linearise the gains; compute the normal equations of each block and joint."""
+        """Linearise the effect of gains; compute the normal equations of each block and joint."""
         rows = self.rows
         gain = rows.arm + rows.payload @ _parameters(self.x)
         self.table[:, self.joint, self.gains] = gain
@@ -361,8 +363,9 @@ class _Fit:
         """Return the inverse variance of each joint."""
         if len(self.products) < len(self.rows.times):
             return weights_of(residual)
-        # With few poses, a joint may fit by chance, so that its variance needs a lower bound. The
-        # bound is relative to the effort: a common bound was above the noise of the wrist.
+        # With few poses, a joint may fit well by chance, so its variance needs a lower bound. The
+        # bound is relative to the effort: a common bound for all joints exceeded the noise of the
+        # wrist joints.
         squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
         size = np.mean(self.rows.target**2, axis=0) + 1e-12
         least = LEAST_NOISE * np.median(squares / size) * size
@@ -374,13 +377,13 @@ class _Fit:
         return np.asarray(self.table @ factors)
 
     def _normal(self, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations; one block may be left out."""
+        """Return matrix and vector of the normal equations; leave out one block if given."""
         chosen = np.arange(len(self.products)) != without
         sums = np.tensordot(self.weights, np.sum(self.products[chosen], axis=0), 1)
         return sums[:-1, :-1], sums[:-1, -1]
 
     def _near(self, x: Floats, matrix: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the derivatives of the parameters, and the prior's precision and mean, at x."""
+        """Return the derivatives of the parameters at x, and precision and mean of the prior."""
         slope = np.eye(self.size)
         slope[:PARAMETERS, :PARAMETERS] = _slope(x)
         mass = max(x[0], LIGHTEST)
@@ -398,7 +401,7 @@ class _Fit:
         return slope, known, mean
 
     def _solution(self, without: int | None = None) -> Floats:
-        """Solve the linearised normal equations; one block may be left out."""
+        """Solve the linearised normal equations; leave out one block if given."""
         (matrix, vector), x = self._normal(without), self.x
         for _ in range(_STEPS):
             slope, known, mean = self._near(x, matrix)
@@ -409,7 +412,7 @@ class _Fit:
         return np.asarray(x)
 
     def covariances(self) -> tuple[Floats, Floats]:
-        """Return the covariance of the unknowns, and the part of it that noise causes."""
+        """Return the covariance of the unknowns, and the part that is due to noise."""
         matrix, _ = self._normal()
         slope, known, _ = self._near(self.x, matrix)
         data = slope.T @ matrix @ slope
@@ -417,7 +420,7 @@ class _Fit:
         return whole, whole @ data @ whole
 
     def _between(self) -> Floats:
-        """Return variances of mass and centre of mass over fits that omit a block, shape (4,)."""
+        """Return jackknife variances of mass and centre of mass, shape (4,)."""
         count = len(self.products)
         if count < 2:
             return np.zeros(4)
@@ -444,7 +447,7 @@ def _slope(x: Floats) -> Floats:
 
 
 def _divisor(x: Floats) -> float:
-    """Return the mass as a divisor; a mass near zero is replaced with a small positive one."""
+    """Return the mass as a divisor; replace a mass near zero with a small positive mass."""
     return float(x[0]) if abs(x[0]) > _SMALLEST else _SMALLEST
 
 
@@ -458,6 +461,6 @@ def _variance(covariance: Floats, x: Floats) -> Floats:
 
 
 def _shows_inertia(covariance: Floats, x: Floats) -> bool:
-    """Return whether the measurement clearly improves the knowledge of the second moments."""
+    """Return whether the measurement clearly improves the prior of the second moments."""
     moment = max(x[0], LIGHTEST) * RADIUS**2
     return bool(np.sqrt(np.trace(covariance[4:7, 4:7])) < 0.5 * moment)

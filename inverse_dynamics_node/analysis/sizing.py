@@ -2,8 +2,8 @@
 Computes the efforts that motors and gears must provide for a trajectory, or in any pose.
 
 Gravity efforts over the workspace show which payload the effort limits allow. Poses are samples of
-a low-discrepancy sequence over the joint ranges. A local search, joint by joint, starts from the
-worst samples and finds the worst poses, such as a fully extended arm.
+a low-discrepancy sequence over the joint ranges. A local search starts from the worst samples,
+moves one joint at a time, and finds the worst poses, such as a fully extended arm.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
 _CANDIDATES = 33
-"""Number of positions of a joint that the search tries: 11 degrees apart for a full turn."""
+"""Number of positions that the search tries for each joint: 11 degrees apart over a full turn."""
 _WINDOWS = (1.0, 1.0, 0.1, 0.01)
-"""Fraction of the joint range that each pass of the search covers."""
+"""Fraction of the joint range in each pass of the search."""
 _STARTS = 3
-"""Number of the worst samples from which the search for a worst pose starts."""
+"""The search for a worst pose starts from this number of the worst samples."""
 _MOST_BODIES = 2e8
-"""Largest number of evaluations of one body in the search; these take about ten seconds."""
+"""Largest number of single-body evaluations in the search, which take about ten seconds."""
 _TIE = 1e-9
 """Efforts with a smaller relative difference are regarded as equal."""
 _ROUNDING = 1e-6
-"""A smaller excess over a limit is ignored, because files may have only six digits."""
+"""Smaller violations of limits are ignored, because files may have only six digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,8 @@ class Workspace:
     robot: RobotModel
     poses: Floats
     """
-    Joint positions, shape (poses, joints) [rad or m]: the worst pose of each joint, then samples.
+    Joint positions, shape (poses, joints) [rad or m]. The worst pose of each joint comes first,
+    followed by the sampled poses.
     """
     efforts: Floats
     """Gravity efforts in the `poses`, shape (poses, joints) [N m or N]."""
@@ -60,8 +61,8 @@ class Workspace:
 
     @property
     def worst(self) -> Integers:
-        """Index of the pose with the largest gravity effort of each joint, shape (joints,)."""
-        # If several poses are equally bad, the first one is the result of the search.
+        """Index, for each joint, of the pose with the largest gravity effort, shape (joints,)."""
+        # If several poses are equally bad, choose the result of the search, which comes first.
         sizes = np.abs(self.efforts)
         highest = np.max(sizes, axis=0) * (1.0 - _TIE) - _TIE * np.max(sizes)
         return np.asarray(np.argmax(sizes >= highest, axis=0))
@@ -73,7 +74,7 @@ class Workspace:
 
     @property
     def hardest(self) -> int:
-        """Index of the joint nearest its limit; without limits, the joint with most effort."""
+        """Index of the joint closest to its limit or, without limits, with the largest effort."""
         ratios = self.peaks / self.limits
         return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
 
@@ -84,19 +85,19 @@ class PayloadCapacity(NamedTuple):
     link: str
     mass: float
     """
-    Largest mass [kg]; inf without a restricting limit, 0 if gravity alone exceeds a limit.
+    Largest mass [kg]: inf if no limit restricts the mass, 0 if gravity alone exceeds a limit.
     """
     joint: str | None
-    """The joint that reaches its limit first; None if no joint does."""
+    """The joint that reaches its limit first; None if no joint reaches a limit."""
     pose: Floats
     """Pose in which this joint reaches its limit, shape (joints,) [rad or m]."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
-    """Return lower and upper ends of the joint ranges [rad or m]; a range is at most one turn."""
+    """Return the lower and upper ends of joint ranges [rad or m], limited to one turn each."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
     is_wide = ~robot.is_prismatic_joint & ~(upper - lower <= 2.0 * math.pi)
-    # Use the turn around zero if it is within the limits.
+    # Choose the turn from -180 to 180 degrees if the limits allow this turn.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
     lower[is_wide], upper[is_wide] = start, start + 2.0 * math.pi
     return lower, upper
@@ -111,8 +112,9 @@ def explore(
     Compute the gravity efforts over the whole workspace.
 
     The poses are a Sobol sequence; their number is rounded up to a power of two. The result is
-    always the same for the same arguments. `progress` is called now and then with the fraction
-    done, 0 to 1. Raises ConfigurationError if there are no joints, or fewer than two samples.
+    always the same for the same arguments. `progress` is called repeatedly with the completed
+    fraction, 0 to 1. Raises ConfigurationError if the robot has no movable joint, or if fewer than
+    two samples are requested.
 
     """
     from scipy.stats import qmc  # the import takes a second
@@ -134,14 +136,14 @@ def explore(
     for joint in range(n):
         related = related_joints[joint]
         moved = np.flatnonzero(related)
-        # If there are too many joints to move, the nearest joints matter most.
+        # If there are too many joints to move, choose the nearest joints, which matter most.
         nearest = np.sort(moved[np.argsort(np.abs(moved - joint), kind='stable')[:most_joints]])
 
         def size(poses: Floats, joint: int = joint) -> Floats:
             return np.asarray(np.abs(dynamics.gravity_efforts(poses)[:, joint]))
 
         tops = [
-            # Joints that do not affect this one are set to zero: the pose is easier to imagine.
+            # Set joints that do not affect this joint to zero: the pose is easier to imagine.
             _climb(
                 size,
                 np.where(related, poses[k], np.clip(0.0, lower, upper)),
@@ -153,7 +155,7 @@ def explore(
             )
             for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]
         ]
-        # Choose the first pose unless another one is higher by more than rounding errors.
+        # Choose the first pose, unless the effort in another pose is clearly larger.
         heights = size(np.array(tops))
         found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
         progress((joint + 1) / n)
@@ -168,7 +170,7 @@ def explore(
 
 
 def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
-    """Return the number of starts, the windows, and the number of joints for a bounded search."""
+    """Limit the search: return the number of starts, the windows and the number of joints."""
     for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
         bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
         most_joints = max(1, int(_MOST_BODIES / bodies))
@@ -184,8 +186,8 @@ def payload_capacity(
     Compute the largest payload that the robot can hold at rest within its effort limits.
 
     The payload is a point mass at the origin of a link. The robot may already carry a payload,
-    which `workspace` contains too; the capacity is the mass that can be added. The capacity is
-    valid for all poses of the workspace, and for the worst pose that a search finds. Raises
+    which must be included in `workspace`. The capacity is the mass that can be added. The capacity
+    is valid for all poses of the workspace, and for the worst pose that a search finds. Raises
     ConfigurationError if the link does not exist.
 
     Gravity efforts are linear in the mass, so two efforts per pose determine the largest mass.
@@ -203,7 +205,7 @@ def payload_capacity(
         """Return the mass that each joint can hold in each pose, shape (poses, joints) [kg]."""
         per_kilogram = laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
         efforts, slope = dynamics.gravity_efforts(poses), np.abs(per_kilogram)
-        # Effort in the direction in which the payload acts.
+        # Existing effort in the direction in which the added mass acts.
         used = efforts * np.sign(per_kilogram)
         with np.errstate(divide='ignore', invalid='ignore'):
             found = np.where(slope > 1e-12, (limits - used) / slope, math.inf)
@@ -212,7 +214,7 @@ def payload_capacity(
 
     def shortage(poses: Floats) -> Floats:
         least: Floats = np.min(masses(poses), axis=1)
-        # Finite, and larger for smaller masses.
+        # The shortage is finite, and larger for smaller masses.
         return 1.0 / (np.minimum(least, 1e9) + 1e-6)
 
     everywhere = np.min(masses(workspace.poses), axis=1)
@@ -241,9 +243,9 @@ def _climb(
     """
     Maximise a function of the pose, one joint at a time, in smaller and smaller windows.
 
-    Gravity efforts are sinusoids of revolute joint positions and linear in prismatic joint
-    positions. Therefore, there are few local maxima. If several poses have the same value, the
-    pose nearest to zero is chosen.
+    Gravity efforts are sinusoidal in revolute joint positions and linear in prismatic joint
+    positions. Therefore, there are few local maxima. If several positions of a joint lead to the
+    same value, the position nearest to zero is chosen.
 
     """
     pose: Floats = start.copy()
@@ -312,11 +314,11 @@ def effort_requirements(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> EffortRequirements:
     """
-    Compute the requirements of a trajectory for the joints that it moves.
+    Compute the efforts, speeds and powers that a trajectory requires.
 
     The trajectory contains velocities and accelerations of any joints of the robot, in any order.
-    The joints of the result have the same order. For joints that the trajectory does not move,
-    `others` gives the positions [rad or m]: one for every joint of the robot, by default zero.
+    The joints of the result have the same order. `others` contains one position for every joint of
+    the robot [rad or m], by default zero. The positions of joints in the trajectory are ignored.
     Raises TrajectoryError if a joint is unknown or named twice, and JointStateError if a value is
     not finite.
 
@@ -353,7 +355,7 @@ def effort_requirements(
 
 
 def _rms(times: Floats, values: Floats) -> Floats:
-    """Return the root mean square over time with the trapezoidal rule; time steps may differ."""
+    """Compute the root mean square over time by the trapezoidal rule; time steps may differ."""
     if len(times) == 1:
         return np.asarray(np.abs(values[0]))
     steps = np.diff(times)[:, np.newaxis]

@@ -31,7 +31,7 @@ trajectory files:
               joint states. --topic chooses another topic"""
 
 LATEST_START = 1e5
-"""If the first time is larger than this, the times are clock times [s]; a day has 86 400 s."""
+"""If the first time is later than this, the times are clock times [s]; a day has 86 400 s."""
 _FIELDS = ('positions', 'velocities', 'accelerations')
 _QUANTITIES = ('position', 'velocity', 'acceleration')
 _DIGITS = 9
@@ -39,9 +39,9 @@ _DIGITS = 9
 _DEFAULT_TOPIC = '/joint_states'
 """The topic to read if several topics have joint states."""
 _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
-"""Fields in which other messages contain a trajectory."""
+"""Fields of other messages that contain a trajectory."""
 _DEEPEST = 20
-"""Deepest nesting of lists and mappings; a trajectory in an action goal has six levels."""
+"""Largest nesting depth of a file; a trajectory in an action goal has six levels."""
 _WHOLE_OUTPUT = 'print the whole message with `ros2 topic echo --full-length`'
 
 
@@ -50,7 +50,7 @@ class LoadedTrajectory(NamedTuple):
 
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
-    """Sentences about the source of the trajectory and about ignored data."""
+    """Notes on the source of the trajectory and on ignored data."""
 
 
 def read_trajectory(
@@ -62,9 +62,9 @@ def read_trajectory(
     """
     Read a trajectory in any of the `FORMATS`.
 
-    The path is a file, or the folder of a recording, and `topic` is a topic of the recording. In
+    `path` is a file, or the folder of a recording. `topic` selects a topic of the recording. In
     CSV files and joint states, joints that are not in `joint_names` are ignored. `progress` is
-    called now and then with the fraction read so far, 0 to 1. Raises TrajectoryError if the file
+    called regularly with the fraction read so far, 0 to 1. Raises TrajectoryError if the file
     contains no complete trajectory, and OSError if the file cannot be opened.
 
     """
@@ -85,7 +85,7 @@ def read_trajectory(
         raise TrajectoryError(f'{path}: {error}') from None
     times = trajectory.times
     if len(times) and LATEST_START < times[0] < np.inf:
-        # Tables have too few digits for clock times.
+        # Printed and written tables have too few digits for clock times.
         notes += (f'times start at the first point, which was at {times[0]:.3f} s',)
         trajectory = trajectory._replace(times=times - times[0])
     return LoadedTrajectory(trajectory, notes)
@@ -104,7 +104,7 @@ def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
     header = [name + ending for ending in endings for name in trajectory.joint_names]
     with path.open('w', newline='', encoding='utf-8') as file:
         csv.writer(file).writerow(['time', *header])
-        np.savetxt(file, table, f'%.{_DIGITS}g', ',', '\r\n')  # row ends as in the csv module
+        np.savetxt(file, table, f'%.{_DIGITS}g', ',', '\r\n')  # line ends as in the csv module
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None = None) -> None:
@@ -124,7 +124,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None 
     names = {'joint_names': list(trajectory.joint_names)}
     with path.open('w', encoding='utf-8') as file:
         yaml.safe_dump(names, file, default_flow_style=None, width=10**6)
-        file.write('points:\n')  # PyYAML would be a hundred times as slow
+        file.write('points:\n')  # PyYAML would be a hundred times slower
         for time, *rows in zip(trajectory.times, *arrays, strict=True):
             sec, nanosec = divmod(round(1e9 * float(time)), 10**9)
             lines = [f'{field}: {_plain(row)}' for field, row in zip(fields, rows, strict=True)]
@@ -170,14 +170,14 @@ def _documents(text: str) -> Iterator[Any]:
     """
     Yield the documents of a YAML text as lists, mappings and text; numbers remain text.
 
-    Unlike the loaders of PyYAML, this parser neither recurses nor converts. No file can use up the
-    stack, contain itself, or create other objects. The parser is also several times faster than
-    the loaders.
+    Unlike the loaders of PyYAML, this parser neither recurses nor converts values. Therefore, a
+    file cannot exhaust the stack, contain itself, or create other objects. The parser is also
+    several times faster than the loaders.
 
     """
     import yaml
 
-    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast, if it was built
+    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast, if available
     opened: list[tuple[Any, str | None, list[Any]]] = []  # kind of event, anchor, content
     anchors: dict[str, Any] = {}
     content: list[Any] = []
@@ -216,7 +216,7 @@ def _documents(text: str) -> Iterator[Any]:
 
 
 def _unwrapped(document: Any) -> dict[str, Any] | None:
-    """Return the trajectory inside an action goal or the answer of a planner, or None."""
+    """Return the trajectory in a document, an action goal or a planner response, or None."""
     while isinstance(document, dict) and 'joint_names' not in document:
         document = next((document[name] for name in _ENCLOSING if name in document), None)
     is_complete = isinstance(document, dict) and ('points' in document or 'positions' in document)
@@ -340,12 +340,12 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
 
 
 class _Longest(NamedTuple):
-    """The longest trajectory of a topic; if several are equally long, the first of them."""
+    """The first of the longest trajectories of a topic."""
 
     topic: str
     message: Any
     number: int
-    """Position among the non-empty trajectories of the topic, counted from 1."""
+    """Position among the non-empty trajectories of the topic, starting at 1."""
     total: int
     """Number of non-empty trajectories on the topic."""
 
@@ -363,7 +363,7 @@ def _from_bag(
         if len(measured) > 1 and chosen != _DEFAULT_TOPIC:
             several = ', '.join(measured)
             raise TrajectoryError(
-                f'several topics have joint states, {several}; choose one with --topic'
+                f'several topics have joint states: {several}; choose one with --topic'
             )
         trajectory, notes = _from_states(bag.messages(chosen, progress), joint_names)
         skipped = ', '.join(each.topic for each in found)
@@ -407,7 +407,7 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
 def _longest_trajectories(
     bag: Bag, topics: Sequence[str], progress: Callable[[float], None]
 ) -> list[_Longest]:
-    """Find the longest trajectory of each topic, and sort them by length, longest first."""
+    """Find the longest trajectory of each topic, and sort the results from longest to shortest."""
     found: list[_Longest] = []
     for topic in topics:
         longest, number, total = None, 0, 0
@@ -421,7 +421,7 @@ def _longest_trajectories(
 
 
 def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
-    """Convert the first trajectory, and mention the other trajectories in the notes."""
+    """Convert the first trajectory, and list the other trajectories in the notes."""
     first = found[0]
     points = first.message.points
     durations = [point.time_from_start for point in points]

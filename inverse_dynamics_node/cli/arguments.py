@@ -1,4 +1,4 @@
-"""Parses the arguments of commands, defines arguments that commands share, and loads robots."""
+"""Parses command lines, defines the arguments that commands share, and loads robots."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ class CommandParser(argparse.ArgumentParser):
     The parser of one command.
 
     The help is wrapped to the width of the terminal; paragraphs with indented lines stay as they
-    are. The help lists three groups of options: `ROBOT`, the options of this command under the
-    title `own`, and `RESULT`. For a mistyped option, the error message suggests a correction.
+    are. The help groups the options under four titles: `ROBOT`, `own` for the options specific to
+    this command, `RESULT`, and 'help'. If an option is mistyped, the error message suggests a
+    correction.
     """
 
     def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
@@ -48,7 +49,7 @@ class CommandParser(argparse.ArgumentParser):
         self.add_argument('-h', '--help', group='help', action='help', help='show this text')
 
     def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:
-        """Add an argument; `group` is the title of an option's group, such as `RESULT`."""
+        """Add an argument; for an option, `group` is the title of the group, such as `RESULT`."""
         if not names[0].startswith('-'):
             return super().add_argument(*names, **properties)
         self._names += names
@@ -60,7 +61,7 @@ class CommandParser(argparse.ArgumentParser):
             name = argument.partition('=')[0]
             if name == '--':
                 break
-            # Checked before argparse, which would report a missing argument first.
+            # Checked here, because argparse would report a missing argument first.
             if name.startswith('--') and not any(x.startswith(name) for x in self._names):
                 hint = did_you_mean(name, self._names)
                 self.error(f"there is no option '{shortened(name)}'{hint}")
@@ -100,7 +101,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 
 def add_link(parser: CommandParser, role: str = '') -> None:
-    """Add the option --link; `role` is appended to its help, to describe a further use."""
+    """Add the option --link; `role` describes a further use, at the end of the help."""
     text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -186,7 +187,7 @@ def add_strict(parser: CommandParser, condition: str) -> None:
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; in its help, `which` completes the words "position of a joint that"."""
+    """Add the option --at; `which` completes the help text "position of a joint that ..."."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -241,18 +242,18 @@ def read_source_text(path: Path | str) -> Path | str:
     if str(path) != '-':
         return path
     text = sys.stdin.read()
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # other text would be taken for a path
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # the text could be mistaken for a path
         raise UrdfError(['is not XML'], 'standard input')
     return text
 
 
 def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> InverseDynamics:
     """
-    Load a robot description, and compile the functions that compute its efforts.
+    Load a robot description, and compile the functions that compute the joint efforts.
 
     The path is a file, ``-`` for standard input, or XML text. Gravity is the free-fall
     acceleration in the frame of the base link [m/s^2]. Raise UrdfError if the description cannot
-    be used, and ConfigurationError if gravity is not three finite numbers.
+    be used, and ConfigurationError if gravity does not consist of three finite numbers.
     """
     source = read_source_text(path)
     with waiting('loading (the first time, compiling takes up to a minute)'):
@@ -260,12 +261,12 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
 
 
 def stem_of(path: Path) -> str:
-    """Return the start of names of output files: the stem of the path, or 'robot' for ``-``."""
+    """Return the prefix for the names of output files: the path's stem, or 'robot' for ``-``."""
     return 'robot' if str(path) == '-' else path.stem
 
 
 def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> str:
-    """Attach the payload of the command line, if any; return its description for titles."""
+    """Attach the payload given on the command line, if any; return a description for titles."""
     if options.payload is None:
         return ''
     link = options.link or last_link(dynamics.robot)

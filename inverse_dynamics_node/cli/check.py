@@ -39,7 +39,7 @@ exit code: 0 the description can be used; 1 it cannot be used; 2 invalid argumen
 warnings, and --strict was given."""
 
 _WARNED = 3
-_MOST_JOINTS = 8  # in the text of a pose
+_MOST_JOINTS = 8  # largest number of joints in the text of a pose
 
 
 def make_parser() -> CommandParser:
@@ -119,11 +119,11 @@ def _usable(warnings: Sequence[ModelWarning]) -> str:
 
 
 def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
-    """Say how close gravity brings the joints to their limits, and how much they can carry."""
+    """Say how close gravity brings joints to their limits, and how much the robot can carry."""
     ratios = workspace.peaks / workspace.limits  # 0 without a limit
     if not np.isfinite(workspace.limits).any():
         return 'No joint has an effort limit.'
-    # all joints with the same rounded percentage
+    # all joints within half a percentage point of the largest ratio
     names = workspace.robot.joint_names
     top = [name for name, x in zip(names, ratios, strict=True) if x > ratios.max() - 0.005]
     text = f'Gravity takes at most {ratios.max():.0%} of an effort limit ({listed(top)}).'
@@ -135,7 +135,7 @@ def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
 
 
 def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
-    """Return the gravity efforts of every joint, the worst poses and the payload capacity."""
+    """Return a table of each joint's gravity efforts and worst pose, with the payload capacity."""
     robot, limits = workspace.robot, workspace.limits
     places = decimals(workspace.efforts)
     rows = []

@@ -38,17 +38,18 @@ examples:
   inverse_dynamics compare my_arm.urdf run.mcap --node-parameters driver.yaml
   inverse_dynamics compare my_arm.urdf run.csv --link tool0 --payload 1.5,0,0,0.05
 
-The recording is a rosbag2 folder, a .mcap file or a .db3 file with sensor_msgs/msg/JointState that
-has efforts. It can also be a .csv file with these columns: `time` [s] and, for each joint,
-`<joint>.position` (or just `<joint>`), `<joint>.velocity` (optional) and `<joint>.effort`. Twenty
-seconds are enough if every joint moves in both directions, at different speeds.
+The recording is a rosbag2 folder, a .mcap file or a .db3 file with sensor_msgs/msg/JointState
+messages that contain efforts. It can also be a .csv file with these columns: `time` [s] and, for
+each joint, `<joint>.position` (or just `<joint>`), `<joint>.velocity` (optional) and
+`<joint>.effort`. Twenty seconds are enough if every joint moves in both directions, at different
+speeds.
 
 The command can diagnose these differences: a swapped sign; a reversed axis; positions in degrees;
-efforts that are currents, have another unit, or are late; gravity compensated by the driver; a
-different mounting of the base; a payload; joints in another order; inertia of rotors; an offset; a
-driver that does not measure; several wrong links. A load, a push or a tilt of the base may last
-for only a part of the recording. Friction is fitted separately; --parameters writes the friction
-for the node.
+efforts that are motor currents, are in another unit, or arrive late; gravity compensated by the
+driver; a different mounting of the base; a payload; joints in another order; inertia of rotors; an
+offset; a driver that does not measure; several wrong links. A load, a push or a tilt of the base
+may last for only a part of the recording. Friction is fitted separately; --parameters writes the
+friction for the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -157,7 +158,7 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 
 
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
-    """Write friction as parameters of the node; the joints are in the order of the robot."""
+    """Write friction and rotor inertia as parameters of the node, in the robot's joint order."""
     joints: list[JointResidual] = sorted(
         result.joints, key=lambda joint: joint_names.index(joint.name)
     )

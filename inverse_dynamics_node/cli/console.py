@@ -1,9 +1,8 @@
 """
 Prints results in colours on a terminal, and as plain text elsewhere.
 
-Everything that a command prints is escaped here: characters that are not printable could begin an
-escape sequence, or change the direction of the text. Names in files and messages therefore cannot
-control the terminal.
+Unprintable characters are escaped, because they could begin an escape sequence or change the
+direction of the text. Names in files and messages therefore cannot control the terminal.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ def waiting(label: str) -> Iterator[None]:
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on a terminal; yield a function that sets its fraction, from 0 to 1."""
+    """Show a progress bar on a terminal; yield a function that sets the progress, from 0 to 1."""
     terminal = _terminal(stderr=True)
     if terminal is None:
         yield lambda fraction: None
@@ -107,7 +106,7 @@ class EscapedOutput:
         return len(text)
 
     def writelines(self, lines: Any) -> None:
-        """Write lines; each one contains its line end."""
+        """Write lines that already contain their line ends."""
         for line in lines:
             self.write(line)
 
@@ -132,7 +131,7 @@ def escaped_output() -> Iterator[None]:
 
 
 def colour_console(stderr: bool = False, environment: Mapping[str, str] = os.environ) -> Any:
-    """Return a `rich.console.Console` that writes colours, and escapes the text that it prints."""
+    """Return a `rich.console.Console` that prints in colour and escapes unprintable characters."""
     from rich.console import Console
     from rich.segment import Segment
 

@@ -100,7 +100,7 @@ def _new_folder(text: str) -> Path:
 
 
 class _Parser(CommandParser):
-    """A parser that also checks the options of the demo."""
+    """A parser that also checks the values of the demo's options."""
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
         """Parse the arguments; print an error and exit with 2 if one is wrong."""
@@ -140,7 +140,7 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
         choices=scenarios,
         default='track',
         metavar='NAME',
-        help='one of the list below (default: %(default)s)',
+        help='scenario from the list below (default: %(default)s)',
     )
     parser.add_argument(
         '--rate',
@@ -160,8 +160,8 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
         '--domain',
         type=int,
         metavar='ID',
-        help='ROS domain, from 0 to 232 (default: one that no other process on this machine uses; '
-        'ROS_DOMAIN_ID is ignored)',
+        help='ROS domain, from 0 to 232 (default: a domain that no other process on this machine '
+        'uses; ROS_DOMAIN_ID is ignored)',
     )
     parser.add_argument(
         '--link', default='', help='link that is loaded or pushed (default: a suitable link)'
@@ -212,7 +212,7 @@ def _run_scenario(
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Record a motion, identify the robot, and repeat the motion; return as `_run_scenario`."""
+    """Run a motion before and after identification; return the same as `_run_scenario`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -244,7 +244,7 @@ def _run_identification(
 
 
 class _ExcitationMotion:
-    """The motion that the commander requests for all joints; after the motion, the joints rest."""
+    """An excitation motion, extended to all joints; before and after it, the joints rest."""
 
     def __init__(self, excitation: Excitation) -> None:
         self._series, self._limits = excitation.series, excitation.limits
@@ -263,7 +263,7 @@ def _runs(
     options: argparse.Namespace,
     stopped: Callable[[], bool],
 ) -> tuple[History, History, IdentificationResult]:
-    """Follow the motion with the URDF, identify the robot, and follow the motion again."""
+    """Follow the motion with the URDF and, after identification, with the calibrated URDF."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         actual, recorded = folder / 'actual.urdf', folder / 'recorded'

@@ -218,7 +218,7 @@ def _summary(
 
 
 def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
-    """Return warnings about efforts and speeds that are so large that a unit must be wrong."""
+    """Return warnings about efforts and speeds so large that a unit is probably wrong."""
     found = []
     hint = (
         'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '
@@ -243,7 +243,7 @@ def _count(number: int, noun: str) -> str:
 def requirement_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
 ) -> list[Table]:
-    """Return two tables: peaks and means with their limits, and the terms of the efforts."""
+    """Return a table of peaks and means with the limits, and a table of the effort terms."""
     index = robot.joint_indices(fine.joint_names)
     places = decimals(requirements.peak)
     rows, parts = [], []

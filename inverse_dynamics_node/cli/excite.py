@@ -42,9 +42,9 @@ examples:
 The links stay 2 cm apart from each other, from the floor and from each --box, according to the
 collision shapes of the URDF. A payload has no shape: enclose it in a collision shape of the URDF.
 The straight way from the pose of --at to the start is checked too. Rehearse the motion with
---speed 0.2: the path is the same, five times slower. The motion is a JointTrajectory without
-efforts, as a joint_trajectory_controller expects. A second file moves the arm slowly to the
-start pose. Send this second file first. Record /joint_states during the motion.
+--speed 0.2: the robot follows the same path, but five times slower. The motion is written as a
+JointTrajectory without efforts, as a joint_trajectory_controller expects. A second file contains a
+slow motion to the start pose. Send this second file first. Record /joint_states during the motion.
 
 exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
 arguments."""
@@ -62,7 +62,7 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'excite',
-        'Find the motion within the limits that best determines masses and friction. The command '
+        'Within the limits, find the motion that best determines masses and friction. The command '
         'writes the motion as CSV and as JointTrajectory, draws a picture, and reports which '
         'space the motion needs and which standard errors to expect.',
         EPILOG,
@@ -172,7 +172,7 @@ def _add_files(parser: CommandParser) -> None:
         parser,
         '--trajectory-out',
         'the motion as JointTrajectory (default: <name of the URDF>_excite.yaml); the way to the '
-        'start pose goes to a file whose name ends with _start.yaml',
+        'start pose is written to a file whose name ends with _start.yaml',
         'YAML',
     )
     arguments.add_picture(parser, '<name of the URDF>_excite.png')
@@ -236,7 +236,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
-    """Return the limits of the motion and the obstacles, as given on the command line."""
+    """Return the motion limits and the obstacles from the command line."""
     limits = motion_limits(
         robot, options.joints, options.fraction, dict(options.range), dict(options.at)
     )
@@ -245,7 +245,7 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
         centre, lengths = np.array(values).reshape(2, 3)
         if not np.isfinite(values).all() or not (lengths > 0.0).all():
             raise ConfigurationError(
-                f'box is {values}, expected a centre and three lengths above 0'
+                f'box is {values}; expected a centre and three lengths above 0'
             )
         boxes.append(np.array([centre - 0.5 * lengths, centre + 0.5 * lengths]))
     with waiting('reading collision shapes'):

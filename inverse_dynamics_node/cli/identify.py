@@ -74,7 +74,7 @@ def make_parser() -> CommandParser:
         action='append',
         default=[],
         metavar='RUN',
-        help='recording that is used to evaluate the result, not to fit it; may be repeated',
+        help='recording to evaluate the result, without using it for the fit; may be repeated',
     )
     arguments.add_output(parser, '--output', 'the calibrated URDF')
     arguments.add_output(

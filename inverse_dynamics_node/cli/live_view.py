@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
 
 BAR = 12  # length of a bar [characters], if the terminal is wide enough
-WIDTH_WITHOUT_BAR = 76  # of the table of joints, if names have 20 characters
+WIDTH_WITHOUT_BAR = 76  # width of the joint table without bars, for names of 20 characters
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
 MOST_WARNINGS = 4
 RECENT = 60.0  # [s]; older warnings are not shown
@@ -37,7 +37,7 @@ class LiveView:
         self._console = colour_console(environment=environment)
         self._live = Live(console=self._console, screen=True, auto_refresh=False)
         self.last_words = ''
-        """Text to print when the screen has been closed."""
+        """Text to print after the screen has been closed."""
 
     def __enter__(self) -> LiveView:
         self._live.start()
@@ -55,7 +55,7 @@ class LiveView:
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
-    """Return the content of the screen for the library rich; important lines come first."""
+    """Return the screen as an object of the library rich; important lines come first."""
     from rich.console import Group
 
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
@@ -112,7 +112,7 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style='cyan')
-    table.add_column('joint')  # the only column that becomes narrower
+    table.add_column('joint')  # only this column shrinks on a narrow terminal
     for title in ('position', 'measured', 'modelled', 'residual', 'command', 'limit'):
         table.add_column(title, justify='right', no_wrap=True)
     bar = min(BAR, max(0, width - WIDTH_WITHOUT_BAR))
@@ -228,7 +228,7 @@ def _log(observer: Observer) -> list[Any]:
     lines = []
     oldest = time.time() - RECENT
     recent = [line for line in observer.log if line.time > oldest]
-    last = {line.text: line for line in recent}  # a lasting problem is logged repeatedly
+    last = {line.text: line for line in recent}  # a persistent problem is logged repeatedly
     for line in sorted(last.values(), key=lambda line: line.time)[-MOST_WARNINGS:]:
         clock = time.strftime('%H:%M:%S', time.localtime(line.time))
         count = sum(other.text == line.text for other in recent)

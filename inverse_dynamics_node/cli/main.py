@@ -1,4 +1,4 @@
-"""The entry point `inverse_dynamics COMMAND ...`; prints errors in one line."""
+"""The entry point `inverse_dynamics COMMAND ...`; prints each error on one line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COMMANDS = {
     'without a robot': {
         'check': 'report on a URDF: masses, limits, warnings, gravity efforts, payload capacity',
         'effort': 'efforts, speeds and powers along a trajectory, compared with the limits',
-        'excite': 'plan a motion to record, from which `identify` can find masses and friction',
+        'excite': 'plan a motion whose recording `identify` can use to find masses and friction',
     },
     'with recordings of a robot': {
         'compare': 'compare a recording with the model, fit friction, diagnose differences',
@@ -33,7 +33,7 @@ _COMMANDS = {
     'with ROS 2': {
         'watch': 'watch a running node: do model and robot agree?',
         'simulate': 'simulate a robot, to try the node without hardware (needs MuJoCo)',
-        'demo': 'run the node on a simulated robot, with a verdict (needs MuJoCo)',
+        'demo': 'run the node on a simulated robot, and judge the result (needs MuJoCo)',
     },
 }
 COMMANDS = tuple(name for group in _COMMANDS.values() for name in group)
@@ -65,7 +65,7 @@ examples:
 exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
-_ROS_COMMANDS = 'payload', 'watch', 'simulate'  # accept arguments of ROS
+_ROS_COMMANDS = 'payload', 'watch', 'simulate'  # commands that accept arguments of ROS
 _EXTRAS = {
     **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), 'cli'),
     **dict.fromkeys(
@@ -94,13 +94,13 @@ _INTERRUPTED, _BROKEN_PIPE = 130, 141  # exit codes of a shell for SIGINT and SI
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # The demo updates its table in place. It prints no names except those in the local URDF.
+    # These commands print names from the local URDF only, and `demo` updates a table in place.
     with nullcontext() if arguments[:1] in (['demo'], ['simulate']) else escaped_output():
         return _code_of(arguments)
 
 
 def _code_of(arguments: list[str]) -> int:
-    """Run one command; print an error in one line."""
+    """Run one command; print any error on one line, and return the exit code."""
     try:
         code = _run(arguments)
         sys.stdout.flush()  # flushed here, where a broken pipe can be caught
@@ -162,7 +162,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Separate the arguments of ROS, which begin with --ros-args and end with --."""
+    """Separate the command's arguments from those of ROS, which lie between --ros-args and --."""
     if '--ros-args' not in arguments:
         return arguments, []
     begin = arguments.index('--ros-args')

@@ -11,9 +11,9 @@ from typing import Any
 
 from ..errors import ConfigurationError
 
-_DISCOVERY = 1.5  # [s]; usual time of discovery, which is longer on a busy machine
+_DISCOVERY = 1.5  # [s]; usual duration of discovery; a busy machine takes longer
 _PATIENCE = 5.0  # [s]; after this time, a message says that no node is found yet
-MOST_DISCOVERY = 10.0  # [s]; after this time, --for reports that there is no node
+MOST_DISCOVERY = 10.0  # [s]; longest wait for a node, unless `watch` runs without --for
 
 
 def node_name(text: str) -> str:
@@ -29,9 +29,9 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
     Return the full name of the inverse dynamics node that the user wants.
 
-    `wanted` is the full name or its last part; without it, there must be only one node. Raise a
-    ConfigurationError if several nodes fit, or if no node is found in time. If `is_patient`, wait
-    for a node without a time limit.
+    `wanted` is the full name or its last part. If `wanted` is None, there must be only one node.
+    Raise a ConfigurationError if several nodes fit. If no node fits, wait: indefinitely if
+    `is_patient`, otherwise for `MOST_DISCOVERY` before a ConfigurationError is raised.
     """
     from ..ros.observer import find_nodes
 
@@ -55,7 +55,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
 
 def only_one(names: list[str]) -> str:
-    """Return the only name, or an empty text without names; raise an error for several names."""
+    """Return the only name, or an empty text for an empty list; raise an error for more names."""
     if len(names) > 1:
         raise ConfigurationError(
             f'there are {len(names)} nodes: {", ".join(names)}; choose one by its name, such as '

@@ -1,9 +1,9 @@
 """
 Writes the files of a command without destroying other files.
 
-An input is never replaced. Another file is replaced only with --force, or if it is an unchanged
-output of an earlier call. Outputs are recognized by a mark: an extended attribute with the hash of
-the content. On file systems without extended attributes, --force is always necessary.
+An input is never replaced. Any other existing file is replaced only with --force, or if it is an
+unchanged output of an earlier call. Outputs are recognized by a mark: an extended attribute with
+the hash of the content. On file systems without extended attributes, --force is always necessary.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class OutputError(InverseDynamicsError):
 
 
 def output_path(text: str) -> Path:
-    """Parse the path of a file to write; raise ArgumentTypeError if it cannot be written."""
+    """Parse the path of a file to write; raise ArgumentTypeError if the file cannot be written."""
     path = Path(text)
     folder = path.parent
     if path.is_dir():
@@ -63,8 +63,8 @@ def check_outputs(
 
     The keys of `outputs` are the options that give the paths. The input ``-`` is standard input.
     Raise OutputError if an output is an input or a link to an input, or if two outputs are the
-    same file. Unless `force` is true, also raise OutputError if a file exists that is not an
-    unchanged output of an earlier call.
+    same file. Unless `force` is true, also raise OutputError if an output exists already and is
+    not the unchanged output of an earlier call.
     """
     sources = {_identity(file): file for source in inputs for file in _files_of(source)}
     written: dict[object, str] = {}
@@ -92,8 +92,8 @@ def new_file(path: Path, is_replaceable: bool = True) -> Iterator[Path]:
     """
     Yield the path of a temporary file, which replaces the output if the `with` body succeeds.
 
-    If the body fails, an existing output is not changed. A symbolic link is kept: the file to
-    which it points is replaced. Without `is_replaceable`, the output gets no mark: later calls
+    If the body fails, an existing output is not changed. A symbolic link is kept: the link's
+    target is replaced. Without `is_replaceable`, the output gets no mark: later calls
     replace it only with --force. Raise OSError with the path if the output cannot be written.
     """
     if _is_stream(path):
@@ -109,14 +109,14 @@ def new_file(path: Path, is_replaceable: bool = True) -> Iterator[Path]:
         yield temporary
         _complete(temporary, is_replaceable)
         temporary.replace(target)
-    except OSError as error:  # names the temporary file, or no file
+    except OSError as error:  # the error names the temporary file, or no file
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def _complete(path: Path, is_marked: bool) -> None:
-    """Mark a file as an output if `is_marked`, and wait until it is on the disk."""
+    """Mark a file as an output if `is_marked`, and flush the file to the disk."""
     if is_marked:
         with suppress(OSError):  # not all file systems have extended attributes
             os.setxattr(path, _MARK, _digest(path))
@@ -136,7 +136,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _identity(path: Path) -> object:
-    """Return device and inode, which a file shares with its links; without a file, the path."""
+    """Return device and inode, which all links to a file share; if no file exists, the path."""
     try:
         status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
     except (OSError, ValueError):  # no such file, or a closed standard input

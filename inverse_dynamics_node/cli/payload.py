@@ -38,16 +38,15 @@ examples:
   inverse_dynamics payload my_arm.urdf empty.csv --record 30
   inverse_dynamics payload my_arm.urdf loaded.csv --record 30 --empty empty.csv --apply
 
-Record the same motion twice, without and with the payload: 20 s or more in which all joints move
-slowly, up and down, in both directions. Or let the arm rest in 6 to 8 poses for 2 s each, and
-approach each pose from the same side. The help of `inverse_dynamics compare` lists
-the formats of recordings.
+Record the same motion twice, without and with the payload. Move all joints slowly, in both
+directions, for 20 s or more. Or let the arm rest in 6 to 8 poses for 2 s each, and approach each
+pose from the same side. The help of `inverse_dynamics compare` lists the formats of recordings.
 
 With --record, the command records the joint states of a running node, and then measures. Without
 --empty, it reports what the empty arm seems to carry. Ctrl-C ends the recording early: the file
 then contains what was recorded, and nothing is measured.
 
-exit code: 0 measured; 1 a recording cannot be used, or the node did not take the payload;
+exit code: 0 measured; 1 a recording cannot be used, or the node did not accept the payload;
 2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass;
 130 ended by Ctrl-C."""
 
@@ -77,7 +76,7 @@ def make_parser() -> CommandParser:
         type=arguments.positive,
         metavar='SECONDS',
         help='first record LOADED: the joint states that a running node receives in this time; '
-        'its diagnostics say what the efforts contain (needs ROS 2)',
+        'the diagnostics of the node say what the efforts contain (needs ROS 2)',
     )
     parser.add_argument(
         '--node',
@@ -102,7 +101,7 @@ def make_parser() -> CommandParser:
         type=node_name,
         metavar='NODE',
         help='publish the payload to a running node, and wait until the node has the payload '
-        '(needs ROS 2; default: that of --node)',
+        '(needs ROS 2; default: the node of --node)',
     )
     arguments.add_picture(parser)
     arguments.add_force(parser)
@@ -159,7 +158,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    """Check that the outputs can be written, and replace no files that must be kept."""
+    """Check that the outputs can be written and do not replace files that must be kept."""
     inputs = [options.urdf, options.empty, options.node_parameters]
     outputs = {'--picture': options.picture}
     if options.record is None:
@@ -176,7 +175,7 @@ def _check_files(options: argparse.Namespace) -> None:
 
 
 def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, NodeStatus]:
-    """Record the joint states of a running node; return its name and its status."""
+    """Record the joint states of a running node; return the name and status of the node."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.recorder import JointStateRecorder
 
@@ -207,7 +206,7 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
 
 @contextmanager
 def _signals() -> Iterator[list[int]]:
-    """Collect the signals that end a process, so that a recording is complete before the end."""
+    """Collect the signals that would end the process, so that a recording is finished first."""
     received: list[int] = []
     numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
     before = {
@@ -222,7 +221,7 @@ def _signals() -> Iterator[list[int]]:
 
 
 def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:
-    """Publish the payload to a node, and wait until the node has it; return its full name."""
+    """Publish the payload to a node, and wait until the node has it; return the node's name."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.payload import apply_payload
 

@@ -1,4 +1,4 @@
-"""Reads recordings, and what a node says about the efforts in them."""
+"""Reads recordings, and determines from a node's settings what the recorded efforts contain."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .console import progress
 def read_recording(
     path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float] | None = None
 ) -> tuple[Recording, tuple[str, ...]]:
-    """Read a recording, scale the efforts of the joints, and return it with notes on the data."""
+    """Read a recording, and scale its efforts; return the recording and notes on the data."""
     with progress(f'reading {path.name}') as report:
         recording, notes = read_measured_states(
             path, robot.joint_names, topic, report, robot.mimic_names
@@ -30,7 +30,7 @@ def read_recording(
 
 
 def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
-    """Multiply the efforts of the joints by their factors."""
+    """Multiply the efforts of each joint by the factor in `scale`, which is 1 by default."""
     factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
     return recording._replace(efforts=factors * recording.efforts)
 
@@ -38,7 +38,7 @@ def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
 def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
-    """Read node parameters: which efforts contain gravity, and factors of measured efforts."""
+    """Read node parameters: which efforts contain gravity, and the scale of measured efforts."""
     given = {} if path is None else _node_parameters(path)
     try:
         in_commands = given.get('include_gravity', True)

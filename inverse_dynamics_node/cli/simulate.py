@@ -25,7 +25,7 @@ attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the r
 releases the robot. The prefix ~ stands for /simulated_robot.
 
 With --driver, commands, efforts and topics follow the conventions of this driver. If the driver
-needs a relay, the robot takes the commands from the node itself. doc/robots.md describes the
+needs a relay, the robot takes the commands directly from the node. doc/robots.md describes the
 drivers, and config/robots has a parameter file for each driver.
 {drivers}
 
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     arguments += ['--driver', options.driver] if options.driver else []
     arguments += ['--sway'] * options.sway + ['--friction'] * options.friction
     arguments += ['--held', *options.held] if options.held else []
-    arguments += [*options.ros_arguments, '--ros-args']  # the first rule for a name applies
+    arguments += [*options.ros_arguments, '--ros-args']  # the first remapping of a name applies
     arguments += ['-r', f'commands:={options.commands or driver.commands}']
     arguments += ['-r', f'joint_states:={driver.joint_states}']
     namespace = options.namespace.strip('/')
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _line(name: str) -> str:
-    """Say in one line of the help how a driver differs from the default."""
+    """Return the line of the help that says how a driver differs from the default."""
     driver = DRIVERS[name]
     parts = {
         f'takes {driver.form.value}': driver.form is not TORQUES.form,

@@ -63,7 +63,7 @@ CODES = {
 _POLL = 0.02  # [s]; time between two polls of the node
 _LINE = 1.0  # [s]; time between two lines of text, or two checks
 _FRAME = 0.25  # [s]; time between two updates of the screen
-_LOST = 3.5  # [s]; longest time without diagnostics, which are sent once a second
+_LOST = 3.5  # [s]; longest gap between diagnostics, which are sent once a second
 
 
 def make_parser() -> CommandParser:
@@ -94,7 +94,7 @@ def make_parser() -> CommandParser:
         '--json',
         group=RESULT,
         action='store_true',
-        help='print one JSON object per second, see doc/watch.md',
+        help='print one JSON object per second (see doc/watch.md)',
     )
     parser.add_argument(
         '--rate',
@@ -131,10 +131,10 @@ class _Watch:
         self.agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
-        self._cut: dict[str, float] = {}  # last time at which each effort was cut to its limit
+        self._cut: dict[str, float] = {}  # time at which each joint's effort was last cut
 
     def run(self) -> int:
-        """Show the node until the time is over; return the exit code."""
+        """Show the node until the duration has passed; return the exit code."""
         if self.options.json or not sys.stdout.isatty():
             self._loop(self._print_line, _LINE)
         else:
@@ -148,7 +148,7 @@ class _Watch:
         return CODES[self.agreement.outcome]
 
     def _loop(self, show: Any, period: float) -> None:
-        """Poll the node, check it once a second, and show the result, until the time is over."""
+        """Poll the node, check it once a second, and show the result, until the duration ends."""
         next_check = next_show = time.monotonic() + period
         is_over, is_new = False, True
         while not is_over:
@@ -168,7 +168,7 @@ class _Watch:
                 time.sleep(_POLL)
 
     def _check_choice(self, now: float) -> None:
-        """Raise an error if no name was given and a second node is discovered."""
+        """Raise an error if no name was given and a second node has been discovered."""
         if self.options.node is None and now < self._began + MOST_DISCOVERY:
             only_one(self.find())
 
@@ -226,7 +226,7 @@ class _Watch:
         )
 
     def _reason(self) -> str:
-        """Return why no efforts can be compared, or an empty text."""
+        """Return why efforts cannot be compared, or an empty text if they can."""
         observer, status = self.observer, self.observer.status
         assert status is not None
         if status.is_computing:

@@ -18,16 +18,17 @@ from ..robot.model import Booleans, Floats
 
 _BRIEF = 0.03  # [s]; after a shorter pause, efforts continue without a blend
 LARGEST = 1e300
-"""Largest effort that is accepted [N m or N]; the sum of two such efforts is finite."""
+"""Largest accepted effort [N m or N]; the sum of two such efforts is finite."""
 # Rows of `CommandShaper._rows`, one column per commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 NOMINAL_STEP = 0.01
 """Ramps advance by at most this time per command [s], unless the usual interval is longer."""
 _LONGEST_STEP = 0.5  # [s]; upper bound of the usual interval, unless the period is longer
-_MEMORY = 8.0  # usual intervals; time constant of the mean, to which one interval adds at most 1/4
+# Time constant of the mean, in usual intervals. One interval raises the mean by at most 25 %.
+_MEMORY = 8.0
 _LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
 _PAUSE = 4.0  # usual intervals; a shorter interval is not an interruption either
-_SETTLING = 0.2  # [s]; for this long after an interruption, older messages may arrive
+_SETTLING = 0.2  # [s]; for this long after an interruption, old messages may still arrive
 
 
 class _Way(enum.Enum):
@@ -42,13 +43,13 @@ class RampClock:
     """
     Measures the time by which ramps, blends and fades advance with each command.
 
-    This time is the interval since the last command, up to an upper bound. The bound is the
-    longest of three times: 10 ms, the period of the loop, and the usual interval. The usual
-    interval is a mean in which long intervals have more weight, so that a burst of messages does
-    not hide a pause. A single pause lengthens the usual interval by at most 25 %.
+    This time is the interval since the last command, but at most the longest of three times:
+    10 ms, the period of the loop, and the usual interval. The usual interval is a mean in which
+    long intervals have more weight, so that a burst of messages does not hide a pause. A single
+    pause lengthens the usual interval by at most 25 %.
 
-    A pause may end with old messages, a late timer or a jump of the clock. The robot has moved
-    during the pause, but the commands have not changed. Ramps therefore do not catch up.
+    A pause may end with old messages, a late timer or a jump of the clock. The robot may have
+    moved during the pause, but the commands have not changed. Ramps therefore do not catch up.
 
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
 
@@ -94,7 +95,7 @@ class RampClock:
 
 
 def ramp_fraction(elapsed: float, ramp: float) -> float:
-    """Return the fraction of a ramp that has elapsed, 0 to 1; both arguments are in [s]."""
+    """Return the elapsed fraction of a ramp, from 0 to 1; both arguments are in [s]."""
     return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0
 
 
@@ -106,7 +107,7 @@ class StopRamp:
         self._duration = self._passed = 0.0  # [s]
 
     def begin(self, command: Floats, duration: float) -> None:
-        """Start a ramp from a copy of the command down to zero; the duration is in [s]."""
+        """Start a ramp from a copy of ``command`` down to zero; ``duration`` is in [s]."""
         self._top, self._duration, self._passed = command.copy(), duration, 0.0
 
     def advance(self, elapsed: float) -> None:
@@ -115,7 +116,7 @@ class StopRamp:
 
     @property
     def time_left(self) -> float:
-        """Time until the end of the ramp; negative after it [s]."""
+        """Time until the end of the ramp [s]; negative after the end."""
         return self._duration - self._passed
 
     @property
@@ -133,25 +134,25 @@ class CommandShaper:
     Turns computed efforts into a sequence of commands without jumps.
 
     Only new joint states and references change the commands at once. Every other change is applied
-    through a ramp or a blend, which advances by `clock.step`. To produce a command, advance
-    `clock`, then call `follow`, `hold` or `fall`.
+    through a ramp or a blend. With each command, ramps and blends advance by `clock.step`. To
+    produce a command, advance `clock`, then call `follow`, `hold` or `fall`.
 
     - The start ramp multiplies the computed efforts by `gain`.
     - A blend fades out the difference between the last command and the computed efforts.
-    - The stop ramp scales down the command at which it began.
+    - The stop ramp scales the last command down to zero.
 
-    Each ramp and each blend starts from the last command sent.
+    Each ramp and each blend continues from the last command.
 
     A change during a blend starts a new blend, which takes over the difference that has not faded
     yet. The first command of a blend does not advance the blend, unless the previous command also
-    started a blend. Even if every command starts a blend, the difference therefore fades as in a
-    first-order low-pass. Its time constant is the length of the start ramp.
+    started a blend. Therefore, even if every command starts a blend, the difference fades as in a
+    first-order low-pass. The time constant of this low-pass is the length of the start ramp.
 
-    A brief pause, for example a joint state that arrives slightly late, does not start a blend.
-    Otherwise, intermittent states would restart the blend again and again, and each restart would
-    repeat the last command instead of following the joints.
+    A brief pause, for example before a joint state that is slightly late, does not start a blend.
+    Otherwise, intermittent states would start one blend after another, and the first command of
+    each blend would repeat the last command instead of following the joints.
 
-    ``index`` lists the positions of the m commanded joints among the n joints of the robot.
+    ``index`` contains the indices of the m commanded joints among the n joints of the robot.
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
 
     """
@@ -167,7 +168,7 @@ class CommandShaper:
         self.is_saturated: Booleans = self._flags[0]
         """Whether each effort of the last command was cut to its limit, shape (m,)."""
         self.is_slowed: Booleans = self._flags[1]
-        """Whether a rate limit slowed each effort of the last command, shape (m,)."""
+        """Whether a rate limit slowed the change of each effort, shape (m,)."""
         self.gain = 0.0
         """Factor for the computed efforts: 0 before the start ramp, 1 after it."""
         self._has_rates = False
@@ -177,10 +178,10 @@ class CommandShaper:
         self._left = self._duration = 0.0  # remaining fraction of the blend, and its duration [s]
         # Whether ramp and blend pause at the next command, and whether they paused at the last.
         self._is_paused = self._was_paused = False
-        self._pause = math.inf  # [s] since efforts were followed; inf: blend the next efforts
+        self._pause = math.inf  # [s] since efforts were last followed; inf: blend the next ones
         self._stop = StopRamp()
         self._is_damped = False  # whether the last command contains damping
-        self._top_gain = self._top_left = 0.0  # gain and blend before the stop
+        self._top_gain = self._top_left = 0.0  # gain and blend when the stop began
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
 
     def configure(
@@ -193,12 +194,12 @@ class CommandShaper:
         stop_ramp: float,
     ) -> None:
         """
-        Change the settings; call `begin` when all changes have been made.
+        Change the settings; call `begin` after all changes.
 
-        All arrays have shape (m,). The computed efforts are multiplied by ``scale``, and
+        All arrays have shape (m,). The computed efforts are multiplied by ``scale``, then
         ``offset`` is added [N m or N]. Commands are limited in magnitude by ``limits`` [N m or N],
-        and in rate by ``rate_limits`` [N m/s or N/s]. Both limits may be infinite. The start ramp
-        and blends last for ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not affect a
+        and in rate by ``rate_limits`` [N m/s or N/s]. Limits may be infinite. The start ramp and
+        each blend last for ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not affect a
         stop ramp in progress.
 
         """
@@ -210,22 +211,22 @@ class CommandShaper:
 
     def begin(self, tau: Floats | None = None, added: Floats | float = 0.0) -> None:
         """
-        Start a blend from the last command to the computed efforts over the start ramp.
+        Start to blend from the last command to the computed efforts.
 
-        The new blend does not end before a blend in progress would have ended. During a stop ramp,
-        the blend waits for the next computed efforts.
+        The blend lasts for ``start_ramp``, but does not end before a blend in progress would have
+        ended. During a stop ramp, the blend waits for the next computed efforts.
 
-        After a change of settings, ``tau`` contains the efforts that result from the inputs of the
+        After a change of settings, ``tau`` contains the efforts recomputed from the inputs of the
         last command, shape (n,) [N m or N]. ``added`` is added to the efforts of the commanded
-        joints, shape (m,). Only the difference between these efforts and the last command fades,
-        so that the next command follows changed inputs at once. Without ``tau``, the next command
-        equals the last command.
+        joints, shape (m,) [N m or N]. Only the difference between the recomputed efforts and the
+        last command fades, so that the next command follows new inputs at once. Without ``tau``,
+        the next command equals the last command.
 
         """
         if self._way is _Way.FALLING:
             self._pause = math.inf
             return
-        # The blend ends neither before the start ramp nor before the blend in progress.
+        # The new blend ends neither before the start ramp nor before a blend in progress would.
         self._duration = max(self._start_ramp, self._left * self._duration)
         self._left = 1.0 if self._duration > 0.0 else 0.0
         self._is_paused = self._left > 0.0 and not self._was_paused
@@ -247,13 +248,13 @@ class CommandShaper:
 
     @property
     def time_to_fall(self) -> float:
-        """Time until the commands are zero if a stop ramp starts now or is in progress [s]."""
+        """Time until a stop ramp, in progress or started now, reaches zero [s]."""
         if self._way is not _Way.FALLING:
             return self._stop_ramp
         return max(self._stop_ramp if self._is_damped else 0.0, self._stop.time_left)
 
     def continue_from(self, other: CommandShaper) -> None:
-        """Continue from the last command of a shaper for another URDF with the same joints."""
+        """Continue from the last command of another shaper for the same joints."""
         self.clock = other.clock
         self.command[:], self._stop = other.command, other._stop
         self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
@@ -263,13 +264,13 @@ class CommandShaper:
 
     @property
     def continues(self) -> bool:
-        """Whether the last command, or one at most 30 ms ago, followed computed efforts."""
+        """Whether the last command, or one within the last 30 ms, followed computed efforts."""
         is_brief = self._pause + self.clock.since <= _BRIEF and not self._is_new
         return self._way is _Way.FOLLOWING or is_brief
 
     def follow(self, tau: Floats, added: Floats) -> bool:
         """
-        Command the computed efforts; return False if one is not finite or beyond `LARGEST`.
+        Command the computed efforts; return False if an effort is NaN or exceeds `LARGEST`.
 
         ``tau`` contains the computed efforts of all joints, shape (n,). ``added`` is added to the
         efforts of the commanded joints, shape (m,) [N m or N]. If the result is False, the command
@@ -326,9 +327,9 @@ class CommandShaper:
         """
         Ramp the commands down to zero, starting from the last command.
 
-        The efforts in ``damping`` are added, shape (m,) [N m or N]. If a sum would exceed one of
-        ``limits``, one common factor reduces all damping efforts, so that the damping still
-        opposes the motion. By default, the limits are those of `configure`.
+        ``damping`` contains efforts to add, shape (m,) [N m or N]. If a sum would exceed one of
+        ``limits``, a common factor reduces all damping efforts, so that the damping still opposes
+        the motion. By default, the limits are those of `configure`.
 
         """
         if self._way is _Way.FALLING:
@@ -341,7 +342,7 @@ class CommandShaper:
             self._top_gain, self._top_left = self.gain, self._left
             self._stop.begin(self.command, self._stop_ramp)
         fraction = self._stop.fraction
-        # Scale gain and blend too: after a brief pause, computed efforts continue with both.
+        # Also scale gain and blend: computed efforts may continue after a brief pause.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left
         self.command[:] = self._stop.command()
         self._is_damped = damping is not None
@@ -352,7 +353,7 @@ class CommandShaper:
 
 
 def add_within(command: Floats, damping: Floats, limit: Floats) -> Floats:
-    """Add the largest share of the damping, shape (m,), that keeps commands within limits."""
+    """Return the command plus the largest share of the damping that the limits permit."""
     bound = np.maximum(limit, np.abs(command))  # a limit may have been tightened
     room = bound - np.sign(damping) * command
     with np.errstate(all='ignore'):
@@ -373,22 +374,22 @@ def blend_efforts(
     elapsed: float,
 ) -> bool:
     """
-    Compute the next command; return False and change nothing if an effort is not finite.
+    Compute the next command; if an effort is not finite, keep the command and return False.
 
     ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N]. ``rows`` has one
     column per commanded joint, shape (10, m). The input rows are the index of the joint among the
     n joints, the effort to add, the scale, the offset, the limit and the rate limit. The output
-    rows are the computed effort, the difference at the start of a blend, the excess over the limit
-    at that time, and the command. On entry, the row of the command contains the last command. The
-    first row of ``flags`` is set where an effort was cut to its limit. The second row is set where
-    a rate limit slowed an effort.
+    rows are the computed effort, the difference at the start of the blend, the excess over the
+    limit at the start of the blend, and the command. On entry, the command row contains the last
+    command. The first row of ``flags`` is set where an effort was cut to its limit. The second row
+    is set where a rate limit slowed the change of an effort.
 
     ``gain`` is the factor for the computed efforts. ``left`` is the fraction of the difference
-    that has not faded yet. If ``is_new``, a blend begins at the last command.
-    ``has_rates`` says whether rate limits exist. Ramps advance by ``elapsed`` [s].
+    that has not faded yet. ``is_new`` says whether a blend begins with this command. ``has_rates``
+    says whether rate limits exist. The rate limits apply to a change within ``elapsed`` [s].
 
     """
-    # Without numba, floats are faster than numpy scalars, and do not warn.
+    # Without numba, floats are faster than numpy scalars, and do not cause warnings.
     m = rows.shape[1]
     for k in range(m):
         effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])

@@ -1,4 +1,4 @@
-"""Estimates external joint efforts, for example due to contact, from measured efforts."""
+"""Estimates external joint efforts, such as those due to contact, from measured efforts."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restart
 
 class ExternalEffortEstimator:
     r"""
-    Estimates external joint efforts as the filtered difference of measured and modelled efforts.
+    Estimates external joint efforts as a filtered difference of measured and modelled efforts.
 
     Accelerations are not measured, but derived from filtered velocities. The same low-pass
-    :math:`L` filters velocities and efforts: :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
-    M(q)\,\frac{d}{dt} L[\dot q]`. The two terms of this difference have the same lag, and
-    therefore cancel for a motion that the model explains.
+    :math:`L` filters velocities and efforts. The result is :math:`L[\tau - C(q, \dot q)\,\dot q -
+    g(q) - ...] - M(q)\,\frac{d}{dt} L[\dot q]`. The two terms of this difference have the same
+    lag, and therefore cancel if the model explains the motion.
 
-    The model is ``dynamics``: a robot with n joints, its payloads, wrenches and friction.
-    ``cutoff`` is the cutoff of the first-order low-pass [Hz].
+    ``dynamics`` is the model of a robot with n joints, including payloads, wrenches and friction.
+    ``cutoff`` is the cutoff frequency of the first-order low-pass [Hz].
 
     """
 
@@ -33,22 +33,22 @@ class ExternalEffortEstimator:
         self.scale = np.ones(n)
         """Factors that convert measured values into efforts [N m or N], shape (n,)."""
         self.filter = LowPass(np.zeros((2, n)), cutoff)
-        """Row 0: velocities. Row 1: measured minus modelled efforts at zero acceleration."""
+        """Row 0: velocities. Row 1: measured efforts minus those modelled at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
     @property
     def cutoff(self) -> float:
-        """Cutoff of the low-pass [Hz]."""
+        """Cutoff frequency of the low-pass [Hz]."""
         return self.filter.cutoff
 
     def update(self, time: float, q: Floats, qd: Floats, measured: Floats) -> Floats:
         """
         Update the estimate with one joint state; return measured minus modelled efforts.
 
-        External forces appear in the result with the opposite sign [N m or N]. The result includes
-        the errors of the model. The measured efforts are in the unit of the driver. Efforts that
-        are not measured are NaN, in ``measured`` and in the result. All arrays have shape (n,). A
+        The result [N m or N] contains the external efforts with the opposite sign, and the errors
+        of the model. ``measured`` contains efforts in the units of the driver. Efforts that are
+        not measured are NaN, in ``measured`` and in the result. All arrays have shape (n,). A
         position or velocity that is not finite raises a JointStateError.
 
         """

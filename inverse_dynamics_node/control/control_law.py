@@ -26,7 +26,7 @@ class Reference(NamedTuple):
     accelerations: Floats
     """Accelerations of the commanded joints, shape (m,) [rad/s^2 or m/s^2]."""
     efforts: Floats
-    """Efforts that are added to the command, shape (m,) [N m or N]."""
+    """Efforts to add to the computed efforts, shape (m,) [N m or N]."""
     time: float
     """Time at which the reference arrived [s]."""
     positions: Floats | None = None
@@ -37,10 +37,10 @@ class Reference(NamedTuple):
 
 class ControlLaw:
     """
-    Computes efforts from joint states and references, in one of the modes.
+    Computes efforts from joint states and references, according to the mode.
 
     The dynamics include all n joints of the robot. Joints that are not commanded are assumed to
-    have zero acceleration. ``index`` lists the positions of the m commanded joints among the n
+    have zero acceleration. ``index`` contains the indices of the m commanded joints among the n
     joints.
 
     """
@@ -54,8 +54,9 @@ class ControlLaw:
         self._velocities = self._rest
         self._no_efforts = self.added = np.zeros(len(index))
         """
-        Efforts to add to the computed efforts, shape (m,) [N m or N]. Their source is the
-        reference, the springs and dampers of joint impedance, or friction during hand guiding.
+        Efforts to add to the computed efforts, shape (m,) [N m or N]. These come from the
+        reference, from the springs and dampers of joint impedance, or, during hand guiding, from
+        friction compensation and guiding damping.
         """
         self.equilibrium: Floats | None = None
         """
@@ -82,13 +83,13 @@ class ControlLaw:
         self._has_last_inputs = False
 
     def phase(self, now: float, state: State, reference: Reference | None) -> Phase:
-        """Return the phase, which says whether the reference is followed, or why not."""
+        """Return the phase: whether the reference is followed and, if not, why."""
         is_held = self.settings.mode is Mode.JOINT_IMPEDANCE
         without_reference = Phase.HOLDING if is_held else Phase.FLOATING
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
             return without_reference
         timeout = self.settings.reference_timeout or math.inf
-        # After a reset of the clock, the age is negative.
+        # If the clock was set back, the age may be negative.
         if not 0.0 <= now - reference.time <= timeout:
             return without_reference
         if not self._is_far(state, reference):
@@ -122,23 +123,23 @@ class ControlLaw:
         self._followed, self._has_last_inputs = None, False
 
     def release(self) -> None:
-        """Let joint impedance hold the joints at their positions in the next step."""
+        """Let joint impedance hold the positions that are measured in the next step."""
         self.equilibrium = None
 
     def last_efforts(self) -> Floats | None:
-        """Recompute efforts from the inputs of the last command; None without such inputs."""
+        """Recompute efforts from the inputs of the last command; None if there are no inputs."""
         if not self._has_last_inputs:
             return None
         return self._efforts(self._last_q, self._last_qd, self._last_reference)
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations used for the last efforts, each of shape (n,)."""
+        """Velocities and accelerations used to compute the last efforts, each of shape (n,)."""
         return self._velocities, self._qdd
 
     @property
     def followed(self) -> Reference | None:
-        """The reference that the last command followed; None if it followed none."""
+        """The reference that the last command followed; None without such a reference."""
         return self._last_reference if self._has_last_inputs else None
 
     def distance(self, start: Floats, target: Floats) -> Floats:
@@ -176,7 +177,7 @@ class ControlLaw:
         if not self._velocity_filter.cutoff:
             return state.qd
         times = np.full(len(state.q), state.time) if state.times is None else state.times
-        # A late joint has been set to rest: its filter restarts at once with zero velocity.
+        # A late joint is assumed to be at rest: its filter restarts at once with zero velocity.
         is_late = now - times > self._timeouts
         return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
 
@@ -248,14 +249,14 @@ class DriveReference:
     A drive with its own gains adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort.
     While ``law`` follows a reference, the drive receives this reference. Otherwise the drive
     receives the measured motion, so that its gains add nothing. The reference replaces the
-    measured motion over a ramp, because the gains of the drive are unknown here.
+    measured motion gradually, because the gains of the drive are unknown.
 
     """
 
     def __init__(self, law: ControlLaw) -> None:
         self._law = law
         self.weight = 0.0
-        """Weight of the reference, 0 to 1; the measured motion has the remaining weight."""
+        """Weight of the reference, from 0 to 1; the measured motion has the remaining weight."""
 
     def motion(
         self, q: Floats, qd: Floats, elapsed: float, start_ramp: float, farthest: float
@@ -263,10 +264,11 @@ class DriveReference:
         """
         Return positions [rad or m] and velocities [rad/s or m/s] to send, shape (m,).
 
-        ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). Ramps advance
-        by ``elapsed`` [s], see `RampClock`. The reference replaces the measured motion over
-        ``start_ramp`` [s]. If the reference is farther from a joint than ``farthest`` [rad or m],
-        the measured motion is sent. A ``farthest`` of 0 means unlimited.
+        ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). The reference
+        replaces the measured motion over a ramp of length ``start_ramp`` [s], which advances by
+        ``elapsed`` [s]; see `RampClock`. If the reference is farther from a joint than
+        ``farthest`` [rad or m], the measured motion is sent. If ``farthest`` is 0, any distance
+        is accepted.
 
         """
         reference = self._law.followed
@@ -293,13 +295,13 @@ class DriveReference:
 
 
 def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
-    """Remove full turns of continuous joints from a distance, shape (m,) [rad or m]."""
+    """Remove the full turns of continuous joints from distances, shape (m,) [rad or m]."""
     turns = np.round(distance / (2.0 * math.pi))
     return np.where(is_continuous, distance - 2.0 * math.pi * turns, distance)
 
 
 def _compact_index(index: list[int]) -> Any:
-    """Return consecutive indices as a slice, which makes numpy three times as fast."""
+    """Return consecutive indices as a slice, because numpy is then three times as fast."""
     first = index[0]
     if index == list(range(first, first + len(index))):
         return slice(first, first + len(index))
@@ -340,7 +342,7 @@ def _describe_overflow(
 
 
 def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
-    """Return name and index of the value with the largest magnitude; NaN counts as infinite."""
+    """Return name and index of the value with the largest magnitude; NaN means infinite."""
     sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
     row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
     return list(arrays)[int(row)], int(joint)

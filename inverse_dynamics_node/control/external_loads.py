@@ -2,9 +2,9 @@
 Applies external loads over time: payloads, wrenches, gravity and the motion of the base.
 
 Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
-of the base apply at once. A wrench fades out when its messages stop. Gravity keeps its direction
-when the messages about the base stop. A ramp keeps its initial duration. Changed settings and
-clock jumps never reverse a ramp. This module uses neither ROS nor a clock. The time is an
+of the base take effect at once. A wrench fades out when its messages stop. When the messages about
+the base stop, gravity keeps its last value. A ramp keeps its initial duration. Changed settings
+and clock jumps never reverse a ramp. This module uses neither ROS nor a clock. The time is an
 argument.
 """
 
@@ -30,7 +30,7 @@ from .settings import LARGEST_GRAVITY, LoadSettings
 STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
-_ROUNDING = 1e-3  # fraction of the sum of the moments; permitted rounding error for flat bodies
+_ROUNDING = 1e-3  # rounding error permitted for flat bodies; fraction of the sum of the moments
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -63,11 +63,11 @@ class ExternalLoads:
     """
     Tracks the external loads on the robot and applies them to the dynamics.
 
-    Only this object may set payloads, wrenches, gravity and base motion of ``dynamics``.
+    Only this object may set the payloads, wrenches, gravity and base motion of ``dynamics``.
     ``gravity`` is the initial free-fall acceleration in the base frame, shape (3,) [m/s^2]. The
     base frame is the frame of ``base_link``, or of the root link if this name is empty. A
-    ConfigurationError is raised if gravity is not three finite numbers, or if a joint moves the
-    base link.
+    ConfigurationError is raised if gravity does not consist of three finite numbers, if the base
+    link does not exist, or if a joint moves the base link.
 
     """
 
@@ -82,11 +82,11 @@ class ExternalLoads:
         self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
         self.settings = settings or LoadSettings()
         self.payloads: dict[str, RigidBody] = {}
-        """Latest payload of each loaded link, including payloads that are still ramped in."""
+        """Latest payload of each loaded link, including payloads still being ramped in."""
         self.include_gravity = True
         """Whether the efforts include gravity and the acceleration of the base."""
         self.imu_time = -math.inf
-        """Time of the last measured motion of the base [s]."""
+        """Time at which the motion of the base was last measured [s]."""
         self._ramps: dict[str, _PayloadRamp] = {}
         self._wrenches: dict[str, _Wrench] = {}
         self._gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
@@ -99,7 +99,7 @@ class ExternalLoads:
 
     def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
         """
-        Ramp in the new payload of a link; return False if the link has this payload already.
+        Ramp in the new payload of a link; return False if the link already has this payload.
 
         The arguments are those of `InverseDynamics.set_payload`. A mass of 0 removes the payload.
         A ConfigurationError is raised if the link does not exist, or if `_read_payload` rejects
@@ -122,12 +122,12 @@ class ExternalLoads:
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
     ) -> bool:
         """
-        Apply a wrench of the environment to a link; the wrench fades out unless it is renewed.
+        Apply a wrench of the environment to a link; without renewal, the wrench fades out.
 
         ``now`` is the time [s]. The other arguments are those of
-        `InverseDynamics.set_external_wrench`. The result is true if efforts may jump, because the
-        call did not renew a wrench of this link in time. A ConfigurationError is raised if the
-        link does not exist, or if a vector is not three finite numbers from -1e9 to 1e9.
+        `InverseDynamics.set_external_wrench`. The result is true if efforts may jump because the
+        link had no wrench, or had one that was not renewed in time. A ConfigurationError is raised
+        unless the link exists, and each vector consists of three numbers from -1e9 to 1e9.
 
         """
         self.dynamics.robot.link_index(link)
@@ -142,9 +142,9 @@ class ExternalLoads:
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
-        Ramp to a free-fall acceleration in the base frame, shape (3,) [m/s^2].
+        Ramp gravity to a free-fall acceleration in the base frame, shape (3,) [m/s^2].
 
-        A ConfigurationError is raised unless gravity is three finite numbers from -100 to 100.
+        A ConfigurationError is raised unless gravity consists of three numbers from -100 to 100.
 
         """
         self._target = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
@@ -154,12 +154,12 @@ class ExternalLoads:
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
     ) -> bool:
         """
-        Set the motion of the base as measured by its IMU; this motion replaces gravity.
+        Set the motion of the base from IMU data; the specific force replaces gravity.
 
         ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
         ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result
-        is true if efforts may jump, because the motion was unknown or a new signal began.
-        A ConfigurationError is raised if a vector is not three finite numbers from -500 to 500.
+        is true if efforts may jump because the motion was unknown or a new signal began. A
+        ConfigurationError is raised unless each vector consists of three numbers from -500 to 500.
 
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
@@ -188,8 +188,8 @@ class ExternalLoads:
         """
         Advance the ramps, fade out stale wrenches, and detect a loss of the base motion.
 
-        Ramps advance by ``elapsed`` [s], see `RampClock`. The result is true if efforts may
-        jump, because the motion of the base was lost just now.
+        Ramps advance by ``elapsed`` [s]; see `RampClock`. The result is true if efforts may jump
+        because the motion of the base has just been lost.
 
         """
         for link in list(self._ramps):
@@ -200,7 +200,7 @@ class ExternalLoads:
             self._ramp_gravity(elapsed)
         if self._is_base_lost or self.is_base_known(now):
             return False
-        # Keep the last known direction of gravity, but assume that the base stopped rotating.
+        # Keep the last known gravity, but assume that the base has stopped rotating.
         self._is_base_lost = True
         self._angular_velocity = np.zeros(3)
         self._write_base()
@@ -231,7 +231,7 @@ class ExternalLoads:
         """
         Convert a wrench from the root frame to the base frame.
 
-        Each moment is about the origin of the frame.
+        Each moment is about the origin of its frame.
 
         """
         R_B0 = self._R_0B.T
@@ -239,10 +239,10 @@ class ExternalLoads:
 
     def continue_from(self, other: ExternalLoads) -> list[str]:
         """
-        Apply the loads of another robot description at once, without ramps.
+        Take over the loads for another robot description at once, without ramps.
 
-        The result lists the loaded links that this robot does not have. ``other`` must not be used
-        afterwards.
+        Payloads on links that do not exist in this robot are dropped. The result lists the missing
+        links. ``other`` must not be used afterwards.
 
         """
         dropped = []
@@ -270,7 +270,7 @@ class ExternalLoads:
 
     @property
     def gravity_at_root(self) -> Floats:
-        """Current free-fall acceleration in the root frame [m/s^2], also if efforts exclude it."""
+        """Current free-fall acceleration in the root frame [m/s^2], even if efforts exclude it."""
         at_root: Floats = self._R_0B @ self._gravity
         return at_root
 
@@ -338,7 +338,7 @@ def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRO
     vector = read_vector(name, values, unit)
     if np.abs(vector).max() > largest:
         raise ConfigurationError(
-            f'{name} is {plain(values)!r}, expected at most {largest:g} {unit} in any direction'
+            f'{name} is {plain(values)!r}, expected at most {largest:g} {unit} along each axis'
         )
     return vector
 
@@ -347,8 +347,8 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     """
     Validate a payload; return `NO_PAYLOAD` if its mass is zero.
 
-    A ConfigurationError is raised if no rigid body has this mass and inertia, or if a number is
-    larger than 1e9.
+    A ConfigurationError is raised if no rigid body can have this mass and inertia, or if a number
+    is larger than 1e9.
 
     """
     payload = RigidBody(*read_inertial(mass, com, inertia))
@@ -357,7 +357,7 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     )
     if largest > _LARGEST_PAYLOAD:
         raise ConfigurationError(
-            f'payload contains {largest:g} as mass, centre of mass or inertia, expected at most '
+            f'payload contains {largest:g} as mass, centre of mass or inertia; expected at most '
             f'{_LARGEST_PAYLOAD:g} kg, m or kg m^2'
         )
     if not payload.mass:
@@ -369,7 +369,7 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
             f'payload has an inertia that is physically impossible: one of the principal moments '
             f'({moments} kg m^2) exceeds the sum of the others'
         )
-    # Remove moments that rounding made negative: a blend of such inertias would be rejected.
+    # Remove negative moments due to rounding: a blend of such inertias would be rejected.
     shift = max(0.0, -float(principal[0]))
     return payload._replace(inertia=payload.inertia + shift * np.eye(3))
 

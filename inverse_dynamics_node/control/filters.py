@@ -12,13 +12,13 @@ from ..robot.model import Booleans, Floats
 
 class LowPass:
     """
-    First-order low-pass filter of a vector that is sampled at irregular times.
+    First-order low-pass filter for an array that is sampled at irregular times.
 
     The elements may be sampled at different times. After a long gap or a step back in time, an
     element restarts: its filtered value becomes its latest sample. An element also restarts if its
     filtered value would not be finite.
 
-    ``value`` is the initial filtered value, shape (k,). A ``cutoff`` of 0 Hz disables the filter.
+    ``value`` is the initial filtered value. A ``cutoff`` of 0 Hz disables the filter.
 
     """
 
@@ -26,7 +26,7 @@ class LowPass:
         self.cutoff = cutoff
         """Cutoff frequency [Hz]; 0 disables the filter."""
         self.value: Floats = np.array(value, dtype=np.float64)
-        """Filtered value, shape (k,); each update creates a new array."""
+        """Filtered value; each update creates a new array."""
         self.reset()
 
     def reset(self) -> None:
@@ -41,11 +41,11 @@ class LowPass:
         restarts: bool | Booleans = False,
     ) -> Floats:
         """
-        Filter a sample, which is copied; return the filtered value, shape (k,).
+        Filter a copy of a sample; return the filtered value, an array of the same shape.
 
-        ``time`` is one number for all elements, or an array of shape (k,) [s]. ``longest_gap`` [s]
-        and ``restarts`` have the same form. An element restarts if its last sample is older than
-        ``longest_gap``, or if its element of ``restarts`` is true.
+        ``time`` [s], ``longest_gap`` [s] and ``restarts`` each have one value for all elements, or
+        one value for each element. An element restarts if its last sample is older than
+        ``longest_gap``, or if ``restarts`` is true for this element.
 
         """
         elapsed = time - self._time

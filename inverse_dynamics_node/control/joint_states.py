@@ -30,11 +30,11 @@ _MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
 _LONGEST_NAME = 100  # [characters]; longer names take too long to compare
 LONG_AGO = -1e300
 """Time stored for a locked joint until its first report [s]; finite, so that the age is finite."""
-# Rows of the known state, one column per joint of the robot.
+# Rows of the known state, with one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
-# Rows of a message, one column per joint in the message.
+# Rows of a message, with one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
-# Results of `store_joint_state`: `NOT_FINITE`, or `CONSISTENT` plus any other flags.
+# Results of `store_joint_state`: `NOT_FINITE`, or `CONSISTENT` plus any of the flags.
 NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED, LEAPT = 0, 1, 2, 4, 8
 
 Numbers = Sequence[float] | Floats
@@ -48,21 +48,21 @@ class State(NamedTuple):
     qd: Floats
     """Joint velocities, shape (n,) [rad/s or m/s]."""
     time: float
-    """Arrival of the oldest state of a commanded joint [s]."""
+    """Arrival time of the oldest state of a commanded joint [s]."""
     times: Floats | None = None
-    """Arrival of each joint's state, shape (n,) [s]; None if all states arrived at `time`."""
+    """Arrival time of each joint's state, shape (n,) [s]; None if all arrived at `time`."""
     is_consistent: bool = True
     """False while positions of a commanded joint alternate faster than the joint can move."""
 
 
 @dataclass
 class Layout:
-    """The joint names of messages from one publisher, and where to store their values."""
+    """Joint names in the messages of one publisher, and the places to store the values."""
 
     names: tuple[str, ...]
     """All names in the message."""
     places: Integers
-    """Indices of the k known joints, in the robot and in the message, shape (2, k)."""
+    """Indices of the k known joints, shape (2, k): first in the robot, then in the message."""
     received: Floats
     """Positions, velocities and efforts of the last message, shape (3, number of names)."""
     has_joints: bool
@@ -76,13 +76,13 @@ class JointStateCollector:
     Collects joint states by joint name; each message may contain any joints in any order.
 
     The drivers of an arm and its gripper often publish their joints on the same topic. Every joint
-    therefore has its own time of arrival.
+    therefore has its own arrival time.
 
     ``joint_names`` are the n joints of the robot. Other joints are ignored. ``locked`` contains
-    positions [rad or m] of joints that may never be reported. Such a position applies until
-    the joint is first reported. Locked joints are never missing and never stale. ``commanded`` are
-    the joints that need a fresh state; by default, all joints that are not locked. ``robot``
-    provides the speed limits that distinguish motion from alternating positions. A
+    positions [rad or m] for joints that might never be reported. Such a position applies until the
+    first report of the joint. Locked joints are never missing and never stale. ``commanded`` lists
+    the joints that need a fresh state. By default, these are all joints that are not locked.
+    ``robot`` provides the speed limits that distinguish motion from alternating positions. A
     ConfigurationError is raised if a locked joint is unknown, or if its position is not finite.
 
     """
@@ -98,32 +98,32 @@ class JointStateCollector:
         n = len(self.joint_names)
         self._known = np.zeros((4, n))
         self.q, self.qd, self.times, self.efforts = self._known
-        """Known state of the joints, each of shape (n,); efforts that are not measured are NaN."""
+        """Last known states, each array of shape (n,); unmeasured efforts are NaN."""
         self.times[:], self.efforts[:] = -math.inf, math.nan
         self.has_jumped = False
         """
-        Set when the state may have jumped, and cleared by the reader. There are four causes:
+        Set when the state may have jumped; cleared by the reader. There are four causes:
 
         - A joint has moved further than it can.
-        - A joint that is not commanded was locked or late until now, or has become late.
-        - Several publishers reported a joint that is not commanded.
+        - A joint that is not commanded has become late, or is no longer late or locked.
+        - The positions of a joint that is not commanded have begun or ceased to alternate.
         - The velocity of a joint was reported for the first time, or is no longer reported.
         """
         self.has_leapt = False
         """Set when a commanded joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """Messages without velocities are rejected for this long after a velocity arrived [s]."""
+        """After a velocity, messages without velocities are rejected for this time [s]."""
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
-        """Number of late joints that are neither commanded nor locked, found by `rest_late`."""
+        """Number of late, uncommanded and unlocked joints, as found by `rest_late`."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
         self._losses = 0  # how often velocities were lost
         self._lock(locked or {})
         self.is_free = self.times == -math.inf
-        """Whether each joint is not locked, shape (n,)."""
+        """True for joints that are not locked, shape (n,)."""
         self._is_commanded = self.is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
@@ -136,7 +136,7 @@ class JointStateCollector:
         self._find_oldest()
 
     def layout(self, names: tuple[str, ...]) -> Layout:
-        """Prepare to store messages with these names; raise a JointStateError for duplicates."""
+        """Prepare to store messages with these names; raise a JointStateError for a duplicate."""
         in_message = [k for k, name in enumerate(names) if name in self._index]
         in_robot = [self._index[names[k]] for k in in_message]
         if len(set(in_robot)) != len(in_robot):
@@ -169,10 +169,10 @@ class JointStateCollector:
         Store one joint state completely, or reject it completely.
 
         ``now`` is the time of arrival [s]. ``layout`` is the result of the method `layout` for the
-        names in the message. There is one position for each name. Velocities and measured efforts
-        have one value for each name, or are empty. Velocities that are absent or NaN are set to
-        zero. Shortly after a velocity was reported, its absence is an error, see
-        `velocity_timeout`.
+        names in the message. ``positions`` has one value for each name. ``velocities`` and the
+        measured ``efforts`` have one value for each name, or are empty. Velocities that are absent
+        or NaN are stored as zero. However, the absence of a velocity is an error shortly after
+        this velocity was reported; see `velocity_timeout`.
 
         The result says whether the message names any joint of the robot. If the lengths differ or
         a necessary value is not finite, a JointStateError is raised and nothing changes.
@@ -187,7 +187,7 @@ class JointStateCollector:
             raise JointStateError(f'received {len(names)} names, but {len(efforts)} efforts')
         received = layout.received
         received[0] = positions
-        # Drivers omit velocities that they do not measure, or send NaN.
+        # Drivers omit unmeasured velocities, or send NaN instead.
         received[1] = velocities if len(velocities) else math.nan
         has_efforts = len(efforts) > 0
         if has_efforts:
@@ -212,7 +212,7 @@ class JointStateCollector:
 
     @property
     def time(self) -> float:
-        """Oldest arrival among the commanded joints [s]; -inf if one was never reported."""
+        """Oldest arrival time among the commanded joints [s]; -inf until all were reported."""
         return self._time
 
     @property
@@ -231,7 +231,7 @@ class JointStateCollector:
         return self.state()
 
     def state(self) -> State | None:
-        """Return the latest state; None until all joints that are not locked were reported."""
+        """Return the latest state; None until all unlocked joints have been reported."""
         if self._time == -math.inf or self._other_time == -math.inf:
             return None
         return State(self.q, self.qd, self._time, self.times, self._is_consistent)
@@ -258,7 +258,7 @@ class JointStateCollector:
         return self._named(self.times == -math.inf)
 
     def similar_names(self) -> list[str]:
-        """Return reported names that resemble missing joints, but are not joints of this robot."""
+        """Return reported names that resemble missing joints, but do not exist in this robot."""
         closest: list[str] = []
         for name in self.missing():
             closest += difflib.get_close_matches(name, self._foreign_names, 1)
@@ -270,7 +270,7 @@ class JointStateCollector:
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
         """
-        Return the late joints that are neither commanded nor locked, each with its age [s].
+        Return late joints that are neither commanded nor locked, with the ages of the states [s].
 
         A joint is late if it was not reported within the timeout [s]. Joints that were never
         reported are not included.
@@ -281,19 +281,19 @@ class JointStateCollector:
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
     def alternating(self) -> dict[str, tuple[float, float]]:
-        """Return the last two positions of each joint whose position alternates too fast."""
+        """Return the joints with alternating positions, each with two of these positions."""
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 
     def forget_silent(self, now: float) -> None:
-        """End the alternation of joints that are no longer reported; the time is in [s]."""
+        """End the alternation alarms of joints that are no longer reported; ``now`` is in [s]."""
         if self._has_alternating:
             forget_silent(self._tracks, now - self.times)
             self._find_alternating()
 
     def rest_late(self, now: float, timeout: float) -> None:
         """
-        Set the velocities of late joints that are not commanded to zero; times are in [s].
+        Set the velocities of late, uncommanded joints to zero; times are in [s].
 
         Otherwise, a joint whose states no longer arrive would keep its last velocity forever.
 
@@ -345,14 +345,14 @@ class JointStateCollector:
             self.times[self._index[name]] = LONG_AGO
 
     def _complete(self, layout: Layout, now: float) -> None:
-        """Replace unmeasured velocities with zeros, or raise a JointStateError."""
+        """Replace unmeasured velocities with zeros; raise a JointStateError for invalid values."""
         in_robot, in_message = layout.places
         q, qd = layout.received[:2, in_message]
         is_finite = np.isfinite(qd)
         self._reject('position', q, np.isfinite(q), in_robot)
         has_velocity, times = self._has_velocity[in_robot], self.times[in_robot]
-        # A velocity that is missing briefly is a fault. If the velocity stays missing, earlier
-        # values may have come from another publisher, such as ros2 topic pub.
+        # A brief absence of a velocity is a fault. If the velocity stays absent, earlier values
+        # may have come from another publisher, such as ros2 topic pub.
         is_recent = (now >= times) & (now < times + self.velocity_timeout)
         is_lost = has_velocity & np.isnan(qd) & ~is_recent
         self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)
@@ -411,7 +411,7 @@ def compile_kernels() -> None:
 @compiled
 def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
     """
-    Return the oldest arrival among the commanded joints, and among the other joints [s].
+    Return the oldest arrival time [s] of the commanded joints, and that of the other joints.
 
     ``times`` contains the arrival time of each joint's state, shape (n,). Locked joints that were
     never reported are ignored. The result for a group without joints is inf.
@@ -439,19 +439,20 @@ def store_joint_state(
     """
     Store the joint states of a message if all are finite; otherwise change nothing.
 
-    - ``received`` contains positions, velocities and efforts of the l joints of a message, shape
+    - ``received`` contains positions, velocities and efforts of the l joints in a message, shape
       (3, l).
     - ``places`` contains the indices of the k joints to store, shape (2, k): first among the n
-      joints of the robot, then among the l joints of the message.
-    - ``known`` receives positions, velocities, times and efforts, shape (4, n). A joint that is
-      not commanded keeps its position and zero velocity while its positions alternate.
+      joints of the robot, then among the l joints in the message.
+    - ``known`` receives positions, velocities, times and efforts, shape (4, n). While the reported
+      positions of an uncommanded joint alternate, the joint keeps its last position, and its
+      velocity is zero.
     - ``tracks`` comes from `position_tracks.make_tracks`.
     - ``now`` is the time [s].
 
-    The result is `NOT_FINITE` if a position or velocity is not finite. Otherwise it is
-    `CONSISTENT` plus the following flags:
+    The result is `NOT_FINITE` if a position or velocity is not finite. Otherwise, the
+    result is `CONSISTENT` plus any of the following flags:
 
-    - `ALTERNATING`: the positions of a joint alternate faster than it can move.
+    - `ALTERNATING`: the positions of a joint alternate faster than the joint can move.
     - `JUMPED`: a joint whose position is stored has moved further than it can.
     - `LEAPT`: the joint that has moved too far is commanded.
 

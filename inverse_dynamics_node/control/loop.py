@@ -27,7 +27,7 @@ from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
-# Settings that change the inputs of the computation. Other settings only change its results.
+# Settings that change the inputs of the computation. Other settings change only the results.
 _INPUT_SETTINGS = (
     'mode',
     'state_timeout',
@@ -39,16 +39,16 @@ _INPUT_SETTINGS = (
 
 
 class Command(NamedTuple):
-    """Efforts to send to the robot."""
+    """The efforts of one step, and what the robot receives."""
 
     efforts: Floats
-    """Finite efforts, shape (m,) [N m or N]; valid until the next step."""
+    """Computed efforts, always finite, shape (m,) [N m or N]; valid until the next step."""
     is_saturated: Booleans
     """Whether each effort was cut to its limit, shape (m,)."""
     is_slowed: Booleans
-    """Whether a rate limit slowed each effort, shape (m,)."""
+    """Whether a rate limit slowed the change of each effort, shape (m,)."""
     sent: Floats | None = None
-    """Efforts to send to the robot [N m or N]; None if nothing is sent, see `DryRun`."""
+    """Efforts to send to the robot [N m or N]; None while a `DryRun` sends nothing."""
 
 
 class Controller:
@@ -56,10 +56,10 @@ class Controller:
     Computes one command per step; the same inputs always produce the same commands.
 
     The dynamics include all n joints of the robot. Joints that are not commanded are assumed to
-    have zero acceleration. ``joints`` are the m joints to command, in the order of the commands;
-    if empty, all joints of the robot. ``period`` is the time between steps [s]; 0 if there is a
-    step for each joint state. A ConfigurationError is raised if a joint cannot be commanded, or if
-    a setting does not fit the joints.
+    have zero acceleration. ``joints`` lists the m joints to command, in the order of the commands.
+    An empty list means all joints of the robot. ``period`` is the time between steps [s]; 0 if
+    there is a step for each joint state. A ConfigurationError is raised if a joint cannot be
+    commanded, or if a setting does not fit the joints.
 
     """
 
@@ -86,12 +86,12 @@ class Controller:
 
     def apply(self, settings: Settings, of_joint: Mapping[str, Floats] | None = None) -> None:
         """
-        Change the settings. The next step uses them, and continues from the last command.
+        Change the settings; the next step continues from the last command.
 
         Make other changes, for example of friction, before this call. The effect of all changes
         is blended in over the start ramp, so that the efforts do not jump. ``of_joint`` is the
-        result of `Settings.expanded`, if known. If a setting per joint has neither one value nor
-        one value for each commanded joint, a ConfigurationError is raised and nothing changes.
+        result of `Settings.expanded`, if known. A ConfigurationError is raised and nothing changes
+        if a setting per joint has neither one value nor one value for each commanded joint.
 
         """
         of_joint = of_joint or settings.expanded(len(self.joints))
@@ -118,17 +118,17 @@ class Controller:
 
     def blend(self) -> None:
         """
-        Fade from the last command to the computed efforts within the start ramp.
+        Fade from the last command to the computed efforts, in the time of the start ramp.
 
-        Call this when the computed efforts change without motion, for example after a change of
-        the robot description or gravity.
+        Call this method when the computed efforts change without motion, for example after a
+        change of the robot description or gravity.
 
         """
         self._shaper.begin()
 
     @property
     def phase(self) -> Phase:
-        """Phase for which the last command was computed."""
+        """Phase of the last command."""
         return self.supervisor.phase
 
     @property
@@ -138,7 +138,7 @@ class Controller:
 
     @property
     def has_effort(self) -> bool:
-        """Whether the last command has a nonzero effort, or a stop still damps the motion."""
+        """Whether the last command contains a nonzero effort, or stop damping is active."""
         return bool(self._shaper.command.any()) or self.stop_damping.is_active
 
     @property
@@ -153,17 +153,17 @@ class Controller:
 
     @property
     def ramp_step(self) -> float:
-        """Time by which ramps advance with this command; see `RampClock` [s]."""
+        """Time by which ramps advance with this command [s]; see `RampClock`."""
         return self._shaper.clock.step
 
     @property
     def time_to_fall(self) -> float:
-        """Time until the efforts are zero if a stop ramp starts now or is in progress [s]."""
+        """Time until a stop ramp, in progress or started now, reaches zero [s]."""
         return self._shaper.time_to_fall
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations used for the last efforts, each of shape (n,)."""
+        """Velocities and accelerations used to compute the last efforts, each of shape (n,)."""
         return self.law.motion
 
     def cause_of_failure(self) -> str:
@@ -172,7 +172,7 @@ class Controller:
 
     @property
     def is_stopping(self) -> bool:
-        """Whether a stop is requested; the efforts may still be ramping down."""
+        """Whether a stop has been requested; the efforts may still be ramping down."""
         return self.supervisor.is_stopping
 
     def stop(self) -> None:
@@ -188,7 +188,7 @@ class Controller:
         self.supervisor.is_stopping = False
 
     def start(self) -> None:
-        """Start with zero efforts; the efforts rise from the first step with a fresh state."""
+        """Start with zero efforts; the start ramp begins in the first step with a fresh state."""
         self.supervisor.start()
         self.stop_damping.end()
         self.law.reset()
@@ -198,13 +198,13 @@ class Controller:
         """
         Continue from the last command of a controller for another robot description.
 
-        The other controller must not be used afterwards. If it commands different joints, a
-        ConfigurationError is raised.
+        The other controller must not be used afterwards. If the controllers command different
+        joints, a ConfigurationError is raised.
 
         """
         if self.joints != other.joints:
             raise ConfigurationError(
-                f'the joints to command are now {", ".join(self.joints)}, expected '
+                f'the joints to command are now {", ".join(self.joints)}; expected '
                 f'{", ".join(other.joints)}'
             )
         self.supervisor, self._time = other.supervisor, other._time
@@ -216,8 +216,9 @@ class Controller:
         """
         Compute the command for one time; None before the first complete joint state.
 
-        The time ``now`` is on the clock of state and reference [s]. ``state`` is the latest joint
-        state, and ``reference`` is the latest reference. Each is None until a message arrives.
+        ``now`` is the time [s], on the same clock as the times of state and reference. ``state``
+        is the latest joint state, and ``reference`` is the latest reference. Each argument is
+        None until its first message arrives.
 
         """
         self.pass_time(now)
@@ -266,21 +267,22 @@ class Controller:
 
     @property
     def recovery_time(self) -> float:
-        """A loss ends when joint states have arrived for this long without a gap [s]."""
+        """Time for which joint states must arrive without a gap before a loss ends [s]."""
         return recovery_time(self.settings.state_timeout)
 
 
 class ControlLoop:
     """
-    Connects joint states, external loads, dynamics and controller of one robot.
+    Connects the joint states, external loads, dynamics and controller of one robot.
 
-    ``joints`` are the m joints to command, in the order of the commands; if empty, all
+    ``joints`` lists the m joints to command, in the order of the commands. An empty list means all
     joints. ``settings`` apply to the controller, and ``load_settings`` to the external loads.
     ``period`` is the time between steps [s]; 0 if there is a step for each joint state.
-    ``gravity`` is the free-fall acceleration in the frame of the base link [m/s^2], see
-    `ExternalLoads`. ``locked`` contains the positions of locked joints, which cannot be commanded,
-    see `JointStateCollector`. With ``has_imu``, there is no command before the first measured
-    motion of the base. An argument that does not fit the robot raises a ConfigurationError.
+    ``gravity`` is the free-fall acceleration in the frame of the base link [m/s^2]; see
+    `ExternalLoads`. ``locked`` contains the positions of locked joints; see `JointStateCollector`.
+    Locked joints cannot be commanded. With ``has_imu``, commands start only after the motion of
+    the base was first measured. An argument that does not fit the robot raises a
+    ConfigurationError.
 
     """
 
@@ -328,12 +330,12 @@ class ControlLoop:
 
     @property
     def has_to_stop(self) -> bool:
-        """Whether the robot holds a nonzero effort, or a stop damps its motion."""
+        """Whether the robot holds a nonzero effort, or is subject to stop damping."""
         is_damped = self.controller.stop_damping.is_active and not self.dry_run.is_active
         return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """Start a dry run, or end one if the commands are zero; return whether this was done."""
+        """Start a dry run, or end it if the commands are zero; return whether anything changed."""
         dry_run, controller = self.dry_run, self.controller
         if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
             return False
@@ -348,12 +350,12 @@ class ControlLoop:
         return True
 
     def step(self, now: float) -> Command | None:
-        """Compute the command for one time [s]; None while an input is missing, see `missing`."""
+        """Compute the command for one time [s]; None until all inputs in `missing` arrive."""
         controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
         state = collector.at(now, controller.settings.uncommanded_state_timeout)
-        # Before the first command no effort acts, so loads need no ramp.
+        # Before the first command, no effort acts, so loads need no ramp.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
             if collector.has_leapt:
@@ -361,7 +363,7 @@ class ControlLoop:
             collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
-            # The clock was set back. At its old time, the reference would apply a second time.
+            # The clock was set back: the reference would be followed again at its old time.
             reference = self.reference = None
         if self.has_imu and self.lacks_imu:
             state = None
@@ -372,7 +374,7 @@ class ControlLoop:
         return command if sent is command.sent else command._replace(sent=sent)
 
     def _set_velocity_timeout(self) -> None:
-        # Shorter than the state timeout: messages without velocities must not stop the arm.
+        # Less than the state timeout, so that messages without velocities do not stop the arm.
         self.collector.velocity_timeout = 0.5 * self.controller.settings.state_timeout
 
     def set_base_motion(
@@ -397,7 +399,7 @@ class ControlLoop:
         """
         Describe the necessary inputs that have not arrived yet.
 
-        ``states`` and ``imu`` are the names of the topics in the text. If the time ``now`` [s] is
+        ``states`` and ``imu`` are the topic names to use in the text. If the time ``now`` [s] is
         given, the text also names joints whose positions are too old or contradict each other.
 
         """
@@ -425,8 +427,8 @@ class ControlLoop:
         """
         Continue from the last command and the inputs of another control loop.
 
-        Payloads on links that no longer exist are dropped. The result lists these links. The
-        other loop must not be used afterwards. If the other loop commands different joints, a
+        Payloads on links that no longer exist are dropped. The result lists the missing links. The
+        other loop must not be used afterwards. If the two loops command different joints, a
         ConfigurationError is raised and nothing changes.
 
         """
@@ -436,16 +438,16 @@ class ControlLoop:
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
-        """Copy joint states and loads from another loop; return what `continue_from` returns."""
+        """Copy joint states and loads from another loop; return the missing links."""
         self.collector.continue_from(other.collector)
         return self.loads.continue_from(other.loads)
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """
-        Apply scale and offset of the commands to efforts, shape (k, len(index)) [N m or N].
+        Apply the scale and offset of the commands to modelled efforts [N m or N].
 
-        ``index`` lists joints of the robot. Efforts of joints that are not commanded stay
-        unchanged.
+        ``efforts`` and the result have shape (k, len(index)). ``index`` contains indices of joints
+        of the robot. Efforts of joints that are not commanded stay unchanged.
 
         """
         scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
@@ -454,7 +456,7 @@ class ControlLoop:
         return calibrated
 
     def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
-        """Return the joints whose efforts exceed their limits; see `calibrated`."""
+        """Return the joints with efforts beyond their limits; see `calibrated` for arguments."""
         limits = self.robot.effort_limits.copy()
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
@@ -487,7 +489,7 @@ class ControlLoop:
         )
 
     def external_efforts(self) -> Floats:
-        """Estimate external efforts from the last state, shape (n,); NaN if unmeasured."""
+        """Estimate external efforts from the last state; see `ExternalEffortEstimator.update`."""
         collector = self.collector
         with self.loads.gravity_included(self.measures_gravity):
             return self.external_effort_estimator.update(
@@ -501,5 +503,5 @@ class ControlLoop:
 
     @property
     def lacks_imu(self) -> bool:
-        """Whether the base has an IMU, but no measurement of its motion has arrived yet."""
+        """Whether the base has an IMU from which no measurement has arrived yet."""
         return self.has_imu and self.loads.imu_time == -math.inf

@@ -37,7 +37,7 @@ from .status_text import (
 )
 
 _MOST_REASONS = 20  # number of reasons that are counted separately
-_LONGEST_PAUSE = 2.0  # [s]; a longer time between updates means that this process did not run
+_LONGEST_PAUSE = 2.0  # [s]; a longer time between updates means that this process was suspended
 
 
 class Monitor:
@@ -50,13 +50,13 @@ class Monitor:
 
     def __init__(self, period: float = 0.0) -> None:
         self.rejected: Counter[str] = Counter()
-        """Number of rejected messages since the start, by topic and reason."""
+        """Number of messages rejected since the start, by topic and reason."""
         self.clamped: Counter[str] = Counter()
-        """Number of commands since the start whose effort was cut to its limit, by joint."""
+        """How often the effort of each joint has been cut to its limit since the start."""
         self.slowed: Counter[str] = Counter()
-        """Number of commands since the start that a rate limit slowed, by joint."""
+        """How often a rate limit has slowed a change of each joint's effort since the start."""
         self.overruns = 0
-        """Number of commands since the start that came more than half a period late."""
+        """How many commands have come more than half a period late since the start."""
         self.period = period
         self._last = math.nan
         # Since the last report:
@@ -69,8 +69,8 @@ class Monitor:
         """
         Record one command.
 
-        The node began to compute the command at the time ``now`` [s]. ``duration`` is the time to
-        compute and send the command [s].
+        ``now`` is the time at which the computation of the command began [s]. ``duration`` is the
+        time taken to compute and send the command [s].
 
         """
         elapsed = now - self._last
@@ -87,7 +87,7 @@ class Monitor:
             self.slowed.update(_selected(joints, command.is_slowed))
 
     def pause(self) -> None:
-        """Keep the time until the next command out of the statistics."""
+        """Exclude the time until the next command from the statistics."""
         self._last = math.nan
 
     def reject(self, topic: str, reason: str) -> None:
@@ -100,10 +100,10 @@ class Monitor:
 
     def report(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> NodeStatus:
         """
-        Return the status since the last report; the caller adds the status of the scheduling.
+        Return the status since the last report; the caller adds the scheduling status.
 
-        ``loop`` is None until the node is configured. ``around`` contains the state of the node
-        and its connections.
+        ``loop`` is None until the node is configured. ``around`` contains the state and the
+        connections of the node.
 
         """
         status = NodeStatus(
@@ -171,7 +171,7 @@ class Monitor:
 
 
 class StalledPublishers:
-    """Measures for how long no message has arrived although a message was expected."""
+    """Measures for how long publishers have been silent although messages were expected."""
 
     def __init__(self, now: float) -> None:
         self._since = self._last_update = now
@@ -180,8 +180,8 @@ class StalledPublishers:
         """
         Return the length of the silence [s].
 
-        ``is_expected`` says whether a connected publisher could send. The silence does not include
-        time in which no message was expected, or in which this process did not run. All times are
+        ``is_expected`` says whether a connected publisher could send. The silence excludes time in
+        which no message was expected, and time in which this process was suspended. All times are
         in [s].
 
         """

@@ -1,30 +1,30 @@
 """
 Follows the reported positions of each joint, to detect two faults.
 
-**Positions that alternate faster than a joint can move**, because two publishers report one joint;
-see `track`. The detector adds up the steps *back*, which reverse the previous step, and subtracts
-the distance that the joint could cover in the same time. A single jump, such as homing or an
-encoder reset, therefore adds nothing. A fast motion with several samples between its turning
-points also adds nothing. Messages may arrive late, or several at once. A motion within the speed
-limit stays below the threshold as long as no message is later than `LATENESS`. Three kinds of
-small steps back are ignored, because they are not contradictions:
+**Positions that alternate faster than a joint can move**, because two publishers report the same
+joint; see `track`. A reversal is a step against the direction of the previous step. The detector
+adds up the reversals, and subtracts the distance that the joint could cover at twice its speed
+limit in the same time. A single jump, for example due to homing or an encoder reset, therefore
+adds nothing. A fast motion with several samples between its turning points adds little. Messages
+may arrive late, or several at once. Motion within the speed limit stays below the threshold as
+long as no message is later than `LATENESS`. Three kinds of reversals are ignored, because they are
+harmless:
 
-- steps due to noise and coarse encoders
+- reversals due to noise or coarse encoders
 - full turns of rotary joints
-- steps due to a second publisher that relays the positions slightly late
+- reversals due to a second publisher that relays the positions with a slight delay
 
-Late positions from a relay lag behind by a fraction of the distance that the joint has just
-covered. If two publishers contradict each other, every step covers the whole distance between
-their positions.
+Relayed positions lag by a fraction of the distance that the joint has recently covered. If two
+publishers contradict each other, every step spans the whole distance between their positions.
 
-**Positions that change faster than a joint can move**, whatever the cause; see `has_jumped`.
-Examples of causes: two nodes report one joint, an encoder is reset, or a suspended process resumes
-and receives the messages of the whole pause within milliseconds. A joint may seem to move slightly
-faster than it can, because messages may be late. Each joint therefore has room for motion in
-either direction. The room grows with time at twice the speed limit, and shrinks as the joint moves
-into it. The room never exceeds the distance that a joint covers at twice the speed limit during
-the largest delay of a message. After a pause the room is zero, because messages from the pause may
-follow.
+**Positions that change faster than a joint can move**, whatever the cause; see `has_jumped`. For
+example, two nodes report the same joint, an encoder is reset, or a suspended process resumes and
+receives all messages of the pause within milliseconds. Because messages may be late, a joint may
+seem to move slightly faster than it can. Each joint therefore has some room for motion in each
+direction. The room grows at twice the speed limit, and shrinks as the joint moves in this
+direction. The room never exceeds the distance that the joint covers at twice the speed limit
+during the largest expected delay of a message. After a pause, the room is zero, because messages
+from the pause may still arrive.
 
 All times are times of arrival.
 """
@@ -40,39 +40,39 @@ from ..dynamics.jit import compiled
 from ..robot.model import Floats, RobotModel
 
 LATENESS = 1.0
-"""Messages may be this late without causing an alarm [s]."""
+"""Largest delay of a message that does not cause a false alarm [s]."""
 _FACTOR = 2.0  # factor by which a joint may exceed its speed limit
 _LEAST_COUNT = 4  # number of reversals before an alarm: A, B, A, B, A, B
-# Smallest plausible, default and largest plausible speed limit of revolute joints [rad/s], and of
-# prismatic joints [m/s].
+# Smallest plausible, default and largest plausible speed limits: first of revolute joints [rad/s],
+# then of prismatic joints [m/s].
 _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
 _NOISE = (0.02, 0.005)  # smaller steps are ignored [rad, m]
-_COARSEST = (0.1, 0.02)  # an encoder has no larger steps [rad, m]
-_COUNTS = 2.5  # encoder steps up to this multiple of the smallest step are ignored
+_COARSEST = (0.1, 0.02)  # largest plausible step of an encoder [rad, m]
+_COUNTS = 2.5  # steps up to this multiple of the smallest step are ignored
 _LEAST_STEP = 1e-6  # [rad, m]; smaller steps may be rounding errors
-_WINDOW = 0.1  # [s]; `way` is the range in the last one or two windows
+_WINDOW = 0.1  # [s]; `way` returns the range over the last one or two windows
 _RELAYED = 0.5  # fraction of `way` that is ignored, so that relays may be up to 50 ms late
-_LARGEST = 1e6  # [rad, m]; larger steps are cut to this
-_DELAY = 0.03  # [s]; largest delay of a message for which `has_jumped` leaves room
-_LONGEST_STEP = 0.1  # [s]; a longer interval permits no more motion than this interval
+_LARGEST = 1e6  # [rad, m]; larger steps are cut to this size
+_DELAY = 0.03  # [s]; largest delay of a message that `has_jumped` expects
+_LONGEST_STEP = 0.1  # [s]; a longer interval does not permit more motion
 
 # Rows of tracks, with one column per joint. Constants:
 _CONSTANTS = 5
 _SPEED, _IGNORED, _COARSE, _IS_PRISMATIC, _IS_CONTINUOUS = range(_CONSTANTS)
 # Reported positions and steps:
 _LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(5, 13)
-# Smallest and largest positions relative to the last position, in this and in the last window:
+# Smallest and largest positions relative to the last position, in this and the previous window:
 _LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(13, 19)
-# Room for the next step, see `has_jumped`:
+# Room for the next step; see `has_jumped`:
 _ROOM_ABOVE, _ROOM_BELOW = range(19, 21)
 _ROWS = 21
 
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     """
-    Make the array in which `track` keeps the constants and the history of n joints, shape (21, n).
+    Make the array, shape (21, n), in which `track` keeps the constants and history of n joints.
 
-    The speed limits are those of ``robot``. Without a robot, all joints are assumed to be
+    The speed limits are those of ``robot``. Without ``robot``, all joints are assumed to be
     revolute.
 
     """
@@ -95,7 +95,7 @@ def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
 
 
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
-    """Return the joints whose positions alternate, each with its last two positions."""
+    """Return the indices of joints with alternating positions, and two positions of each."""
     return {
         int(i): (float(tracks[_OTHER, i]), float(tracks[_LAST, i]))
         for i in np.flatnonzero(tracks[_FLAG])
@@ -103,7 +103,7 @@ def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
 
 
 def forget_silent(tracks: Floats, ages: Floats) -> None:
-    """End the alarms of joints that are no longer reported; the ages are in [s], shape (n,)."""
+    """End the alarms of joints that are no longer reported; ``ages`` has shape (n,) [s]."""
     is_over = tracks[_EXCESS] <= _FACTOR * tracks[_SPEED] * ages
     tracks[_FLAG, is_over] = tracks[_COUNT, is_over] = tracks[_EXCESS, is_over] = 0.0
 
@@ -114,11 +114,11 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     Follow the positions of one joint; return whether they alternate.
 
     ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
-    reported position [rad or m]. ``elapsed`` is the time since the last report of this joint [s].
-    A negative time means that there was no report.
+    reported position [rad or m]. ``elapsed`` is the time since the previous report of this joint
+    [s], or negative for the first report.
 
-    The sum of the steps back falls at twice the speed limit. The alternation ends when this sum
-    is zero, at most 1 s after the last step back.
+    The sum of the reversals falls at twice the speed limit. After an alternation, the result stays
+    true until this sum is zero, at most 1 s after the last reversal.
 
     """
     raw = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
@@ -128,7 +128,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         return bool(tracks[_FLAG, i] != 0.0)
     step = raw
     if tracks[_IS_PRISMATIC, i] == 0.0:
-        # Positions of revolute joints with limits may wrap, too.
+        # Positions of revolute joints with limits may also wrap.
         step = raw - 2.0 * math.pi * np.rint(raw / (2.0 * math.pi))
     ignored = max(ignored_step(tracks, i, step), _RELAYED * way(tracks, i, step, elapsed))
     speed = tracks[_SPEED, i]
@@ -136,7 +136,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
     if abs(step) > ignored:
-        # A wheel that makes half a turn between two reports merely appears to turn back.
+        # A wheel that makes half a turn between two reports only seems to reverse.
         if step * tracks[_STEP, i] < 0.0 and raw * tracks[_RAW_STEP, i] < 0.0:
             excess += min(abs(step), abs(tracks[_STEP, i]))
             tracks[_COUNT, i] += 1.0
@@ -151,8 +151,8 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
 @compiled
 def ignored_step(tracks: Any, i: int, step: float) -> float:
-    """Return the largest step that noise or the encoder of a joint can explain [rad or m]."""
-    # Consider the sum of two steps, too: if two publishers take turns, every second position
+    """Return the largest step [rad or m] that noise or the encoder of a joint can explain."""
+    # Also consider the sum of two steps: if two publishers take turns, every second position
     # comes from the same publisher.
     for change in (step, step + tracks[_ANY_STEP, i]):
         if abs(change) > _LEAST_STEP:
@@ -164,7 +164,7 @@ def ignored_step(tracks: Any, i: int, step: float) -> float:
 
 @compiled
 def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
-    """Return the range of the positions that were reported recently [rad or m]."""
+    """Return the range of the recently reported positions [rad or m]."""
     tracks[_AGE, i] += elapsed
     if tracks[_AGE, i] > _WINDOW:
         is_recent = tracks[_AGE, i] <= 2.0 * _WINDOW
@@ -183,11 +183,11 @@ def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
 @compiled
 def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
-    Return whether a joint has moved further than is possible; call this before `track`.
+    Return whether a joint has moved further than it can; call `has_jumped` before `track`.
 
-    ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint.
-    ``position`` is the reported position [rad or m]. ``elapsed`` is the time since the last report
-    of this joint [s]: inf if there was no report, and negative if the clock was set back.
+    ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
+    reported position [rad or m]. ``elapsed`` is the time since the previous report of this joint
+    [s]: inf for the first report, and negative if the clock was set back.
 
     """
     speed = _FACTOR * tracks[_SPEED, i]

@@ -1,5 +1,5 @@
 """
-Settings of the controller and of the external loads, which are also parameters of the node.
+Settings of the controller and of the external loads; each is also a parameter of the node.
 
 Each setting is declared once, with its default and its description for users.
 """
@@ -25,7 +25,7 @@ class Mode(enum.Enum):
     INVERSE_DYNAMICS = 'inverse_dynamics'
     """Use the accelerations of the reference."""
     COMPUTED_TORQUE = 'computed_torque'
-    """Use the accelerations of the reference, with feedback of its positions and velocities."""
+    """Use the accelerations of the reference, plus feedback of positions and velocities."""
     GRAVITY_COMPENSATION = 'gravity_compensation'
     """For hand guiding: ignore the reference, and use zero accelerations and velocities."""
     JOINT_IMPEDANCE = 'joint_impedance'
@@ -53,11 +53,11 @@ class StalePolicy(enum.Enum):
     ZERO = 'zero'
     """Ramp the efforts down to zero."""
     HOLD = 'hold'
-    """Keep the last efforts: for an arm that would fall and whose sensors can be trusted."""
+    """Keep the last efforts, for an arm that would otherwise fall and has reliable sensors."""
 
 
 PerJoint = float | tuple[float, ...]
-"""One number for all commanded joints, or one number for each joint."""
+"""One number for all commanded joints, or one for each."""
 
 
 def setting(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
@@ -65,7 +65,7 @@ def setting(default: Any, summary: str, details: str = '', **properties: Any) ->
     Declare a setting that is also a parameter of the node.
 
     In a parameter file, 0 stands for an infinite ``default``. The other arguments are those of
-    `Parameter` in node/parameter_types.py; times are in [s].
+    `Parameter` in node/parameter_types.py.
 
     """
     given = default.value if isinstance(default, enum.Enum) else default
@@ -205,7 +205,7 @@ class Settings:
 
     def expanded(self, m: int) -> dict[str, Floats]:
         """
-        Return an array of shape (m,) for each setting per joint, by name of the setting.
+        Return each setting of type `PerJoint` as an array of shape (m,), by name.
 
         If a setting has neither one value nor m values, a ConfigurationError is raised.
 
@@ -215,7 +215,7 @@ class Settings:
 
 
 LARGEST_GRAVITY = 100.0
-"""Largest accepted component of gravity [m/s^2], ten times that of the earth."""
+"""Largest accepted component of gravity [m/s^2], about ten times the gravity of the earth."""
 
 
 @dataclass(frozen=True)

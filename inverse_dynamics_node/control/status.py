@@ -1,5 +1,5 @@
 """
-The status that a node reports: one record, from the control loop to `watch`.
+The status that a node reports, as one record from the control loop to `watch`.
 
 `Monitor` makes the record, `write_status` and `read_status` transfer it through ``/diagnostics``,
 and `status_text` describes it in words.
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from .settings import Mode
 from .supervision import COMPUTING_PHASES, Phase
 
-_MOST_NAMES = 5  # names of nodes that one message lists
+_MOST_NAMES = 5  # largest number of node names in one message
 
 
 class Level(enum.IntEnum):
@@ -94,9 +94,9 @@ class LoopStatus(Part):
     compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
     """99th percentile of the computation times [s]."""
     overruns: int | None = key('overruns')
-    """Number of commands since the start that came more than half a period late."""
+    """How many commands have come more than half a period late since the start."""
     mode: Mode | None = key('mode')
-    """Mode of the controller; this and the values below are None unless the node is active."""
+    """Mode of the controller; the mode and the values below are None unless the node is active."""
     phase: Phase | None = key('phase')
     is_dry_run: bool | None = key('dry run')
     gain: float | None = key('gain', '.3f')
@@ -111,7 +111,7 @@ class MessagesStatus(Part):
 
 @dataclass(frozen=True)
 class OtherNodesStatus(Part):
-    """Other nodes that use the topic of the commands, or the name of this node."""
+    """Other nodes that use the topic of the commands or have the name of this node."""
 
     commands: str = key('commands', default='')
     """Topic of the commands."""
@@ -122,7 +122,7 @@ class OtherNodesStatus(Part):
 
 @dataclass(frozen=True)
 class ClockStatus(Part):
-    """The clock of a simulation, see `SimulatedTime`."""
+    """The clock of a simulation; see `SimulatedTime`."""
 
     time: float | None = key('time [s]', '.3f')
     unchanged_for: float | None = key('unchanged for [s]', '.1f')
@@ -151,7 +151,7 @@ class ReferenceStatus(Part):
 
     age: float | None = key('age [s]', '.3f', 'never')
     timeout: float | None = key('timeout [s]', 'g')
-    """Longest age of a reference that is followed [s]; 0 means unlimited."""
+    """Age up to which a reference is followed [s]; 0 means unlimited."""
     mode: Mode | None = key('mode')
 
 
@@ -164,18 +164,18 @@ class EffortsStatus(Part):
     external_topic: str = key('topic of the external efforts', default='')
     external_cutoff: float | None = key('cutoff of the external efforts [Hz]', 'g')
     measures_gravity: bool | None = key('measured efforts contain gravity')
-    """Whether the parameters say that measured efforts contain gravity."""
+    """Whether measured efforts contain gravity, according to the parameters."""
     measured_scale: tuple[float, ...] = key('scale of the measured efforts', 'g', default=())
-    """Factors for the measured efforts, in the order of the commanded joints."""
+    """Factors for the measured efforts, in the order of the commands."""
     scale: tuple[float, ...] = key('scale', 'g', default=())
-    """Factors from modelled efforts to commands, in the order of the commanded joints."""
+    """Factors that convert modelled efforts into commands, in the order of the commands."""
     limits: tuple[float, ...] = key('limits [N m, N]', 'g', default=())
-    """Limits in the order of the commanded joints [N m or N]; inf if there is none."""
+    """Effort limits in the order of the commands [N m or N]; inf means unlimited."""
     cut: tuple[str, ...] = key('cut to limit since the last report', default=())
     cut_counts: Mapping[str, int] | None = key('* cut to limit')
-    """Number of commands since the start that were cut to the limit, by joint."""
+    """How often the effort of each joint has been cut to its limit since the start."""
     slowed_counts: Mapping[str, int] | None = key('* slowed')
-    """Number of commands since the start that a rate limit slowed, by joint."""
+    """How often a rate limit has slowed a change of each joint's effort since the start."""
 
 
 @dataclass(frozen=True)
@@ -188,9 +188,9 @@ class ModelStatus(Part):
     """Commanded joints."""
     payloads: tuple[Payload, ...] = key('payload', default=())
     payload_coms: tuple[float, ...] = key('payload com [m]', '.4g', default=())
-    """Centres of mass of the payloads in the frames of their links, three numbers for each."""
+    """Centres of mass in the frames of the links, three numbers for each payload."""
     gravity: tuple[float, ...] | None = key('gravity [m/s^2]', '.3f', 'not included')
-    """Gravity in the commands, in the frame of the base link; None if not included."""
+    """Gravity that the commands include, in the frame of the base link; None if excluded."""
     gravity_at_root: tuple[float, ...] | None = key('gravity in the root link [m/s^2]', '.3f')
     """Gravity in the frame of the root link, even if the commands do not include it."""
     warnings: tuple[str, ...] = key('warning *', default=())
@@ -221,10 +221,10 @@ class Problem(NamedTuple):
 @dataclass(frozen=True)
 class NodeStatus:
     """
-    The complete status of a node, in the order in which it is published.
+    The complete status of a node, with its parts in the order of publication.
 
-    Parts that do not exist are None. The parts of the robot exist once the node is configured. The
-    clock exists if simulated time is used.
+    Parts that do not exist are None. The parts about the robot exist once the node is
+    configured. The clock exists if simulated time is used.
 
     """
 
@@ -249,11 +249,11 @@ class NodeStatus:
         return self.loop.state == 'active' and self.loop.phase in COMPUTING_PHASES
 
     def limits(self) -> dict[str, float]:
-        """Return the largest efforts by commanded joint [N m or N]; empty if they are unknown."""
+        """Return the effort limit of each commanded joint [N m or N]; empty if unknown."""
         return self._by_joint(self.efforts.limits) if self.efforts else {}
 
     def unscaled_limits(self) -> dict[str, float]:
-        """Return the modelled efforts at which the commands reach their limits, by joint."""
+        """Return, by joint, the modelled effort at which the command reaches its limit."""
         scale = self._by_joint(self.efforts.scale) if self.efforts else {}
         return {
             joint: limit / abs(scale[joint])
@@ -262,7 +262,7 @@ class NodeStatus:
         }
 
     def measured_scale(self) -> dict[str, float]:
-        """Return the factors for measured efforts by commanded joint; empty if unknown."""
+        """Return the factor for the measured efforts of each commanded joint; empty if unknown."""
         return self._by_joint(self.efforts.measured_scale) if self.efforts else {}
 
     def _by_joint(self, values: tuple[float, ...]) -> dict[str, float]:
@@ -270,7 +270,7 @@ class NodeStatus:
         return dict(zip(joints, values, strict=True)) if len(joints) == len(values) else {}
 
     def problems(self) -> tuple[Problem, ...]:
-        """Return the parts whose level is not OK, errors first."""
+        """Return the problems of all parts whose level is not OK, with errors first."""
         found = [
             (-part.level, Problem(name, part.level.name, part.message))
             for name, part in self.parts().items()
@@ -280,7 +280,7 @@ class NodeStatus:
 
 
 class Others(NamedTuple):
-    """Other nodes that use the topic of the commands, or the name of this node."""
+    """Other nodes that use the topic of the commands or have the name of this node."""
 
     name: str = ''
     """Fully qualified name of this node."""
@@ -300,7 +300,7 @@ class SimulatedTime(NamedTuple):
     time: float
     """Simulated time [s]; 0 if none has arrived."""
     unchanged_for: float
-    """Time since the last change of the simulated time, on the steady clock [s]."""
+    """Time since the simulated time last changed, measured by the steady clock [s]."""
     publishers: int
     """Number of publishers of /clock."""
 
@@ -314,7 +314,7 @@ class Topics(NamedTuple):
 
 
 class GraphInfo(NamedTuple):
-    """The state of the node, and its connections."""
+    """The state and the connections of the node."""
 
     receivers: int
     """Number of subscriptions to the commands."""
@@ -329,9 +329,9 @@ class GraphInfo(NamedTuple):
     simulated: SimulatedTime | None = None
     """None unless the node uses simulated time."""
     is_dry_run: bool = False
-    """Whether the commands are not sent because of a dry run."""
+    """Whether a dry run keeps the commands from being sent."""
     silence: float = 0.0
-    """Time since the last message on joint_states, for any joint [s]."""
+    """Time since the last message about any joint on joint_states [s]."""
     state_rate: float = 0.0
     """Rate at which all commanded joints were updated since the last report [Hz]."""
     topics: Topics = Topics()

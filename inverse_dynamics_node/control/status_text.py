@@ -18,7 +18,7 @@ from .status import GraphInfo, Level, NodeNames, SimulatedTime
 from .supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 
 _LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
-_MISALIGNED = 5.0  # [degrees]; larger than a mounting error
+_MISALIGNED = 5.0  # [degrees]; larger than any mounting error
 _SLOW = 0.95  # fraction of the requested rate below which the loop is too slow
 _DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered
 _DELAY = 0.005  # [s]; delay from measurement to effort, typical of 200 joint states per second
@@ -36,7 +36,7 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
 
 
 def _computing(loop: ControlLoop) -> str:
-    """Describe how efforts are computed; return no text in phases without computed efforts."""
+    """Describe the computation of efforts, or the wait for its inputs; otherwise return ''."""
     phase, settings = loop.controller.phase, loop.controller.settings
     doing = str(phase.value).partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
@@ -87,7 +87,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe the loss of the measured motion of the base; return '' if there is no loss."""
+    """Describe the loss of the measured motion of the base; return '' without a loss."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''
@@ -109,7 +109,7 @@ def describe_recovery(loop: ControlLoop) -> str:
 
 def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> dict[str, str]:
     """
-    Describe positions that alternate faster than the joint can move, by name of the joint.
+    Describe, by joint name, positions that alternate faster than the joint can move.
 
     ``publishers`` are the nodes that publish joint states, if known.
 
@@ -138,10 +138,10 @@ def describe_silence(around: GraphInfo) -> str:
 
 def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
     """
-    Describe how the IMU frame contradicts the robot description; no text if it agrees.
+    Describe how the IMU frame contradicts the robot description; return '' if both agree.
 
-    ``frame`` is the frame of the messages, which need not be a link. ``R_BS`` is the configured
-    rotation from this frame to the frame of the base link, shape (3, 3).
+    ``frame`` is the ``frame_id`` of the messages, and need not be a link. ``R_BS`` is the
+    configured rotation from this frame to the frame of the base link, shape (3, 3).
 
     """
     robot = loop.robot
@@ -149,7 +149,7 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
         return ''
     link = robot.link_index(frame)
     if robot.link_body[link]:
-        return f"frame_id is '{frame}', a link moved by joints, expected a link fixed to the base"
+        return f"frame_id is '{frame}', a link moved by joints; expected a link fixed to the base"
     base = robot.link_index(loop.base_link)
     turned = robot.link_rotation[base].T @ robot.link_rotation[link] @ R_BS.T
     angle = math.degrees(math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(turned)) - 1.0)))))
@@ -162,7 +162,7 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
 
 
 def describe_late(loop: ControlLoop, now: float) -> list[str]:
-    """Describe the late joints that are not commanded, with their ages and remedies."""
+    """Describe the late joints that are not commanded, and suggest remedies."""
     timeout = loop.controller.settings.uncommanded_state_timeout
     return [
         f"joint '{name}' (not commanded) was last reported {age:.1f} s ago and is assumed to be "
@@ -192,7 +192,7 @@ def describe_light_joints(loop: ControlLoop) -> str:
 
 
 def describe_implausible(loop: ControlLoop) -> dict[str, str]:
-    """Describe the joints far outside their position limits, by name."""
+    """Describe, by joint name, positions that are far outside the position limits."""
     return {found.joint: str(found) for found in loop.implausible_positions()}
 
 
@@ -282,7 +282,7 @@ def judge_model(now: float, loop: ControlLoop) -> Judgement:
         return Level.ERROR, unknown
     warnings = loop.robot.warnings
     if warnings:
-        return Level.WARN, f'{len(warnings)} warnings about the robot description'
+        return Level.WARN, f'warnings about the robot description: {len(warnings)}'
     return Level.OK, f"robot '{loop.robot.name}'"
 
 

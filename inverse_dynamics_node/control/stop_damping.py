@@ -27,28 +27,28 @@ _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # for example when late messages arrive together. Changes older than about a second are forgotten,
 # so that noise does not add up. In simulation (UR10, Panda, an arm with a gripper; 200 and 1000
 # Hz; delay 5 ms; noise 0.01 rad/s), the constant must be at least 0.003 for a stop from rest, and
-# 0.015 for a stop from up to 2 rad/s. At 2 rad/s, a wrong sign is found within 0.02 s. After a
-# stop from rest, a wrong sign is found within 0.12 s: the tip then moves at 0.18 m/s instead of
+# 0.015 for a stop from up to 2 rad/s. At 2 rad/s, a wrong sign is detected within 0.02 s. After a
+# stop from rest, a wrong sign is detected within 0.12 s: the tip then moves at 0.18 m/s instead of
 # 0.15 m/s.
-_LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], none, [s]
+_LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
 class StopDamping:
     """
-    Damps the motion of the commanded joints while the efforts of a stop fade.
+    Damps the motion of the commanded joints during a stop ramp, and afterwards until rest.
 
-    The damping effort is ``-r D M(q) qd``, with the mass matrix M of the commanded joints. Each
-    velocity decays at the rate D. The arm sinks at the speed at which damping and gravity
-    balance. The factor r rises from 0 to 1 over the stop ramp. The damping ends when the arm is at
-    rest, or after a timeout.
+    The damping effort is ``-r D M(q) qd``, with the mass matrix M of the commanded joints. Without
+    gravity, each velocity would decay at the rate D. With gravity, the arm sinks at the speed at
+    which damping and gravity balance. The factor r rises from 0 to 1 over the stop ramp. The
+    damping ends when the arm is at rest, or after a timeout.
 
     The damping never drives the arm. Its power is never positive, and all efforts computed from
     one joint state together remove less than the measured velocity. The damping ends at once when
-    joint states are lost or velocities contradict positions. If a velocity had the wrong sign, the
-    damping would drive the joint.
+    joint states are lost or velocities contradict positions. Otherwise, a velocity with the wrong
+    sign would make the damping drive the joint.
 
-    ``index`` lists the positions of the m commanded joints among the n joints of the robot.
+    ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
     """
 
@@ -68,11 +68,11 @@ class StopDamping:
 
     def begin(self, settings: Settings, scale: Floats, limits: Floats) -> None:
         """
-        Damp the motion from the next command on, if the settings contain stop damping.
+        Damp the motion from the next command on, if ``settings.stop_damping`` is positive.
 
-        ``scale`` contains the factors from efforts to commands, and ``limits`` the largest
-        commands, each of shape (m,). Later changes of the settings, scale and limits have no
-        effect on this stop.
+        ``scale`` contains the factors that convert efforts into commands. ``limits`` contains the
+        largest commands. Both arrays have shape (m,). Later changes of the settings, scale and
+        limits have no effect on this stop.
 
         """
         self._scale, self.limits, self._longest = scale, limits, 0.0
@@ -86,7 +86,7 @@ class StopDamping:
         self.is_active, self.report = False, report or self.report
 
     def continue_from(self, other: StopDamping) -> None:
-        """Continue a stop that began with another URDF; the commanded joints are the same."""
+        """Continue a stop that began with another URDF but the same commanded joints."""
         dynamics, index, is_continuous = self._dynamics, self._index, self._is_continuous
         self.__dict__.update(other.__dict__)
         self._dynamics, self._index, self._is_continuous = dynamics, index, is_continuous
@@ -96,8 +96,8 @@ class StopDamping:
         Compute the efforts to add to the stop ramp; None if the motion is not damped.
 
         ``step`` is the time by which ramps advance with this command. ``since`` is the time since
-        the last command. All times are in [s]. The efforts are scaled but not limited, shape (m,)
-        [N m or N].
+        the last command. All times are in [s]. The result, shape (m,) [N m or N], is scaled but
+        not limited.
 
         """
         if not self.is_active:
@@ -155,7 +155,7 @@ class StopDamping:
 
         A command acts until the next command, but is based on an older velocity. The rate falls
         with the square of the age, so that all commands for one state together remove less than
-        the measured velocity. Commands may arrive in bursts, for example with messages of two
+        the measured velocity. Commands may be sent in bursts, for example after messages from two
         drivers. The longest of the recent intervals therefore determines the rate.
 
         """
@@ -165,7 +165,7 @@ class StopDamping:
         return _LARGEST_SHARE * horizon / age**2
 
     def _damp(self, state: State, rate: float) -> Floats:
-        # A joint whose commands are zero cannot be damped, and must not affect other joints.
+        # A joint with a scale of zero cannot be damped, and must not affect other joints.
         qd = np.where(self._scale == 0.0, 0.0, self._qd)
         try:
             mass_matrix = self._dynamics.mass_matrix(state.q)[np.ix_(self._index, self._index)]

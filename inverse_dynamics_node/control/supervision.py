@@ -14,8 +14,8 @@ from .command_shaping import StopRamp
 from .joint_states import State
 
 _LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
-_TOLERATED_DROP = 0.05  # if a loss lowers the gain by less, the next state ends the loss
-_ZEROS_TIME = 0.5  # [s]; zeros follow the ramp, because best-effort subscribers may lose some
+_TOLERATED_DROP = 0.05  # if a loss lowers the gain by at most this, the next state ends the loss
+_ZEROS_TIME = 0.5  # [s]; zeros are sent for this long after the ramp, because messages may be lost
 
 
 class Phase(enum.Enum):
@@ -71,12 +71,12 @@ class DryRun:
 
     @property
     def has_effort(self) -> bool:
-        """Whether the efforts that were sent last are not all zero."""
+        """Whether any of the efforts that were sent last is nonzero."""
         return self._last is not None and bool(self._last.any())
 
     @property
     def has_sent(self) -> bool:
-        """Whether the robot may depend on this node; false when nothing is sent any more."""
+        """Whether efforts are being sent, so that the robot may depend on this node."""
         return self._last is not None
 
     def end(self) -> None:
@@ -87,8 +87,8 @@ class DryRun:
         """
         Start a dry run: the commands fall to zero, then nothing is sent.
 
-        ``time_to_fall`` is the time until the commands are zero [s], even if they are falling
-        already.
+        ``time_to_fall`` is the time until the commands are zero [s], even for commands that are
+        already falling.
 
         """
         if self._last is None:
@@ -101,7 +101,7 @@ class DryRun:
         """
         Return the efforts to send, shape (m,) [N m or N]; None if nothing is sent.
 
-        Ramps advance by ``elapsed`` [s], see `RampClock`.
+        Ramps advance by ``elapsed`` [s]; see `RampClock`.
 
         """
         if self._sent is _Sent.COMPUTED:
@@ -119,25 +119,25 @@ class StateSupervisor:
     """
     Decides whether efforts may be computed, and whether they are sent.
 
-    No efforts are computed before the first complete joint state, while joint states are lost, and
-    while the controller is stopped. Joint states are lost while the latest state is too old or
-    inconsistent, and for a recovery time afterwards. Without the recovery time, intermittent
-    states would raise and lower the efforts again and again, and shake the arm.
+    No efforts are computed before the first complete joint state, while joint states are lost, or
+    while the controller is stopped. Joint states are regarded as lost while the latest state is
+    too old or inconsistent, and for a recovery time afterwards. Without the recovery time,
+    intermittent states would shake the arm by raising and lowering the efforts repeatedly.
 
     """
 
     def __init__(self) -> None:
         self.phase = Phase.WAITING
-        """Phase for which the last command was computed."""
+        """Phase of the last command."""
         self.is_stopping = False
-        """Whether a stop is requested; the efforts may still be ramping down."""
+        """Whether a stop has been requested; the efforts may still be ramping down."""
         self.dry_run = DryRun()
         self._lost_gain = 0.0  # gain at which the states were lost
-        self._tolerated_drop = _TOLERATED_DROP  # remaining drop for losses in quick succession
-        self._fresh_since = math.inf  # arrival of the first state after the last gap
+        self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
+        self._fresh_since = math.inf  # arrival time of the first state after the last gap
 
     def start(self) -> None:
-        """Wait for the first joint state after a start."""
+        """Return to the phase `WAITING`, and clear a requested stop."""
         self.is_stopping, self.phase = False, Phase.WAITING
 
     def blocking_phase(
@@ -147,7 +147,7 @@ class StateSupervisor:
         Return the phase that prevents the computation of efforts; None if they may be computed.
 
         A state is too old when its age exceeds ``timeout`` [s]. ``gain`` is the factor for the
-        computed efforts, from 0 to 1. While states are lost, this factor falls.
+        computed efforts, from 0 to 1. While states are lost, this factor may fall.
 
         """
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
@@ -160,7 +160,7 @@ class StateSupervisor:
         """Return whether states are lost, or newer than ``now`` because the clock was set back."""
         was_lost = self.phase is Phase.STATE_LOST
         if state is None:
-            # A joint of a new robot description was never reported. Its first state ends the loss.
+            # A joint of a new robot description was never reported. The first state ends the loss.
             self._lost_gain = 0.0
             return True
         is_fresh = 0.0 <= now - state.time <= timeout

@@ -1,1 +1,1 @@
-"""Joint efforts with the recursion of Luh, Walker and Paul."""
+"""Joint efforts by the recursion of Luh, Walker and Paul."""

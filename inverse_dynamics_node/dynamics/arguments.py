@@ -1,4 +1,4 @@
-"""Conversion of arguments to arrays; errors contain the name and the value of the argument."""
+"""Conversion of arguments to arrays; error messages contain the argument's name and value."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def over_states(
     **arguments: ArrayLike,
 ) -> Floats:
     """
-    Compute a quantity for one or more states; return it with the shape (..., *kind).
+    Compute a quantity for one or more states; return an array of shape (..., *kind).
 
-    ``arguments``, such as ``q``, are of any type that numpy can convert. ``kind`` is the shape of
-    the result for one state. ``few`` computes the quantity for arguments of shape (N, n), for N
-    states of n joints. ``many`` is faster if N is at least `batch.LANES`, but numba may have to
-    compile it first. The result is written to ``out`` if ``out`` is given. Wrong shapes, and
-    values that are not finite, raise a JointStateError.
+    Each of the ``arguments``, such as ``q``, is of any type that numpy can convert. ``kind`` is
+    the shape of the result for one state. ``few`` computes the quantity for N states of n joints,
+    from arguments of shape (N, n). ``many`` is faster if N is at least `batch.LANES`, but numba
+    may have to compile ``many`` first. The result is written to ``out`` if ``out`` is given. Wrong
+    shapes and non-finite values raise a JointStateError.
 
     """
     rows, shape = broadcast(len(robot.joint_names), **arguments)
@@ -69,7 +69,7 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
         raise JointStateError(f'{name} is not an array of numbers: {error}') from None
     if found.dtype.kind not in 'fiub':
         raise JointStateError(f'{name} is an array of {found.dtype}, expected real numbers')
-    # The compiled functions accept only contiguous, writable arrays; others are copied.
+    # The compiled functions accept only contiguous, writable arrays; other arrays are copied.
     is_accepted = found.dtype == np.float64 and found.flags.carray
     vectors = found if is_accepted else np.require(found, np.float64, ['C', 'W'])
     if vectors.shape[-1:] != (n,):
@@ -78,7 +78,7 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
 
 
 def broadcast(n: int, **arguments: ArrayLike) -> tuple[list[Floats], tuple[int, ...]]:
-    """Broadcast arguments; return arrays with one row per state, and the common shape."""
+    """Broadcast arguments; return arrays with one row per state, and the broadcast shape."""
     vectors = [read_vectors(name, values, n) for name, values in arguments.items()]
     try:
         shape = np.broadcast_shapes(*(vector.shape for vector in vectors))
@@ -98,7 +98,7 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateError:
-    """Return an error about the first argument with a wrong shape or a non-finite value."""
+    """Return an error about the first non-finite value, or raise one about a wrong shape."""
     n = len(joint_names)
     for name, values in arguments.items():
         vectors = read_vectors(name, values, n)
@@ -128,7 +128,7 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one number or n numbers to an array; refuse negative ones unless ``is_signed``."""
+    """Convert one number or n numbers to an array; refuse negative values unless ``is_signed``."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
@@ -168,7 +168,7 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
         )
     if moments.shape != (3, 3) or not np.isfinite(moments).all():
         raise ConfigurationError(f'inertia is {plain(inertia)!r}, expected 3 by 3 finite numbers')
-    # The tolerances are relative to the largest moment, because rotations leave rounding errors.
+    # The tolerances are fractions of the largest element, because rotations cause rounding errors.
     largest = np.abs(moments).max()
     if np.abs(moments - moments.T).max() > 1e-6 * largest:
         raise ConfigurationError(f'inertia is {plain(inertia)!r}, expected a symmetric matrix')

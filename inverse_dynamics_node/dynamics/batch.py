@@ -1,10 +1,10 @@
 """
-Efforts and regressors of many states at once, with the equations of `equations`.
+Efforts and regressors of many states at once, computed with the functions of `equations`.
 
-States are computed in blocks, with one state in each lane of a block. Component j of body or joint
-i in lane k is ``rows[i, j * LANES + k]``. Every step is a loop over the lanes, which the compiler
-turns into vector instructions. The compiler can do so only if each step is a separate function,
-and each kind of rows is a separate array.
+States are processed in blocks, with one state in each lane of a block. Arrays have one row per
+body or joint. Component j of row i in lane k is ``rows[i, j * LANES + k]``. The compiler turns
+loops over the lanes into vector instructions. For this purpose, every step is a separate function,
+and every quantity, such as the motion of the bodies, has its own array.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from .robot_table import (
     vector,
 )
 
-LANES = 64  # states in a block; fewer states are faster one by one
+LANES = 64  # states in a block; it is faster to compute fewer states one by one
 CACHE_LINE = 8  # numbers in a cache line of the processor
 LARGEST_ANGLE = 1e5  # largest angle for `cosine_and_sine` [rad]
 ROUNDER = 1.5 * 2.0**52  # adding and then subtracting this number rounds to an integer
@@ -63,8 +63,9 @@ def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) 
     """
     Compute the joint efforts of N >= `LANES` states; return `OK` or `NOT_FINITE`.
 
-    The states q, qd and qdd have the shape (N, n), for n joints. The efforts ``tau`` have this
-    shape, too, and must not share memory with the states. The table ``robot`` is not modified.
+    ``states`` contains q, qd and qdd of n joints, each of shape (N, n). ``tau`` receives the
+    efforts, in the same shape, and must not share memory with the states. The table ``robot`` is
+    not modified.
 
     """
     no_matrices = np.empty((0, tau.shape[1], 0))
@@ -118,13 +119,13 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute efforts in blocks of states (columns of q), or regressors if R_LZ has rows."""
+    """Compute efforts block by block, or regressors if R_LZ is not empty. Columns are states."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)
     residue[:] = 0.0
     for start in range(0, last + LANES, LANES):
-        # The last block overlaps the previous one, so that every block is full.
+        # The last block may overlap the previous block, so that every block is full.
         first = min(start, last)
         states = slice(first, first + LANES)
         transpose(all_q[:, states], q)
@@ -146,7 +147,7 @@ def _blocks(
 
 @simd_step
 def transpose(source: Any, target: Any) -> None:
-    """Copy an array to another memory order, one cache line at a time."""
+    """Copy an array between two memory layouts, one cache line at a time."""
     for first in range(0, LANES, CACHE_LINE):
         for row in range(len(source)):
             for k in range(first, first + CACHE_LINE):
@@ -191,7 +192,7 @@ def inward_pass(q: Any, tau: Any, robot: Any, place: Any, wrench: Any) -> None:
 
 @simd_step
 def place_link(q: Any, robot: Any, i: int, joint: int, place: Any) -> None:
-    """Compute the cosine and sine of the joint angle, and the length of the slide."""
+    """Compute the cosine and sine of the joint angle, and the sliding distance."""
     multiplier, offset = robot[i, MULTIPLIER], robot[i, POSITION_OFFSET]
     if robot[i, SLIDES] != 0.0:
         for k in range(LANES):
@@ -247,7 +248,7 @@ def outward_step(
 
 @simd_step
 def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
-    """Compute the force and moment that move a single link, minus its external load."""
+    """Compute the force and moment that move a single link, minus the link's external load."""
     link = robot[i]
     for k in range(LANES):
         omega, omega_dot, accel = (
@@ -262,7 +263,7 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
 
 @simd_step
 def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parents: Any) -> None:
-    """Convert a link's force and moment to its parent's frame, and add them to the parent."""
+    """Add a link's force and moment, in its parent's frame, to those of the parent."""
     R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
@@ -284,7 +285,7 @@ def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
 
 @simd_step
 def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
-    """Add rotor inertia and friction to each joint's effort, and check that it is finite."""
+    """Add rotor inertia and friction to each joint's effort; check that the effort is finite."""
     for joint in range(len(tau)):
         armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
         if robot[joint + 1, COUPLING] != 0.0:
@@ -295,13 +296,13 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             friction = joint_friction(numbers, qd[joint, k], load)
             effort = load + armature * qdd[joint, k] + friction
             tau[joint, k] = effort
-            # The difference is 0 for finite numbers only. NaN stays NaN.
+            # The difference is 0 for finite numbers, otherwise NaN. The residue then stays NaN.
             residue[0, k] = residue[0, k] + (effort - effort)
 
 
 @simd_step
 def share_drive(qd: Any, qdd: Any, tau: Any, robot: Any, joint: int, residue: Any) -> None:
-    """Add rotor inertia and friction to the efforts of the two joints that turn one drive."""
+    """Add rotor inertia and friction to the efforts of the two joints that turn the same drive."""
     armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
     ratio, before = coupling_of(robot[joint + 1])
     for k in range(LANES):
@@ -383,7 +384,7 @@ def compute_block(
     pair: int,
     residue: Any,
 ) -> None:
-    """Compute the effort of the joint of body ``mover`` per unit of each parameter of link i."""
+    """Compute the effort at the joint of body ``mover`` per unit of each parameter of link i."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
         arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
@@ -396,14 +397,14 @@ def compute_block(
         store_lane(factors, pair, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
     for parameter in range(PARAMETERS):
         for k in range(LANES):
-            # The difference is 0 for finite numbers only. NaN stays NaN.
+            # The difference is 0 for finite numbers, otherwise NaN. The residue then stays NaN.
             factor = factors[pair, parameter * LANES + k]
             residue[0, k] = residue[0, k] + (factor - factor)
 
 
 @simd_step
 def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
-    """Write the regressors of a few states at a time, which fit into the processor's cache."""
+    """Write the regressors of only a few states at a time, to use the processor's cache."""
     for first in range(0, LANES, CACHE_LINE):
         last = first + CACHE_LINE
         for k in range(first, last):
@@ -460,13 +461,13 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     """
     Return cosine and sine; the error is at most 2 units in the last place.
 
-    There are no branches, so that the compiler can vectorise. Quarter turns are subtracted until
-    the angle is at most pi/4. In that range, the minimax polynomials (Remez' algorithm) have an
-    error of 4e-18 before rounding.
+    There are no branches, so that the compiler can vectorise loops that call this function.
+    Quarter turns are subtracted until the size of the angle is at most pi/4. In this range, the
+    minimax polynomials (Remez' algorithm) have an error of 4e-18 before rounding.
 
     """
     quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
-    # pi/2 in three parts of 33, 33 and 53 bits, so that the first two products are exact.
+    # pi/2 is split into parts of 33, 33 and 53 bits, so that the first two products are exact.
     near = x - quarters * 1.5707963267341256
     second = quarters * 6.077100506303966e-11
     r = near - second
@@ -481,7 +482,7 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     c = 2.4801587289487012e-05 + z * (-2.7557314353789556e-07 + z * c)
     c = 0.0416666666666666 + z * (-0.0013888888888874131 + z * c)
     c = 1.0 - (0.5 * z - z * z * c)
-    # The quarter is between -2 and 2; both ends mean half a turn.
+    # ``quarter`` is between -2 and 2; both -2 and 2 mean half a turn.
     quarter = quarters - 4.0 * ((quarters * 0.25 + ROUNDER) - ROUNDER)
     odd, opposite = abs(quarter) == 1.0, abs(quarter) == 2.0
     cosine, sine = (s, c) if odd else (c, s)

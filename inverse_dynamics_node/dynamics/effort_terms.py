@@ -37,16 +37,16 @@ from .robot_table import (
 
 
 class EffortTerms(NamedTuple):
-    """Effort terms of n joints, each of shape (..., n) [N m or N]; their sum is the effort."""
+    """Terms of n joint efforts, each of shape (..., n) [N m or N]; the sum is the total effort."""
 
     inertial: Floats
-    """Efforts M(q) qdd due to the joint accelerations, including armature."""
+    """Efforts M(q) qdd due to the joint accelerations; M includes armature."""
     coriolis: Floats
-    """Coriolis and centrifugal efforts C(q, qd) qd, including those of a rotating base."""
+    """Coriolis and centrifugal efforts C(q, qd) qd; C includes effects of a rotating base."""
     gravity: Floats
     """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
-    """Friction, including friction that depends on the load or on the square root of the speed."""
+    """Efforts due to all kinds of friction, including load and square-root friction."""
     external: Floats
     """Efforts that balance the external wrenches."""
 
@@ -68,7 +68,7 @@ def effort_terms(
     Compute the five terms of the efforts of n joints, in the order of `EffortTerms`.
 
     The arguments ``inertial`` to ``external`` are the tables of `term_tables`. ``state`` is
-    scratch space of 4 rows of n numbers; the last row is zero. ``terms`` receives 5 rows of n
+    scratch space of 4 rows of n numbers; the last row must be zero. ``terms`` receives 5 rows of n
     numbers, and may share memory with q, qd and qdd. The other arguments and the status are as
     in `newton_euler.inverse_dynamics`.
 
@@ -103,7 +103,7 @@ def effort_terms(
 
 @compiled
 def friction_batch(qd: Any, qdd: Any, terms: Any, robot: Any) -> int:
-    """Compute the friction terms of many states from the other four terms."""
+    """Compute the friction term of many states from the other four terms."""
     for k in range(len(qd)):
         friction_terms(
             qd[k], qdd[k], terms[0][k], terms[1][k], terms[2][k], terms[3][k], terms[4][k], robot
@@ -148,7 +148,7 @@ def friction_terms(
 
 @simd_inline
 def any_of(v: Vector) -> bool:
-    """Return whether a component of a vector is nonzero."""
+    """Return whether any component of a vector is nonzero."""
     return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
 
 
@@ -171,7 +171,7 @@ _ABSENT: dict[str, tuple[int | slice, ...]] = {
     'gravity': (robot_table.EXTERNAL_COLUMNS, *_NO_DRIVE_TERMS),
     'external': (*_NO_BODIES, *_NO_DRIVE_TERMS, *_NO_SPRINGS),
 }
-"""For each term of the efforts, the columns that are zero in the table of this term."""
+"""Columns of the robot table that are set to zero for each effort term."""
 
 
 class TermTables(NamedTuple):
@@ -196,9 +196,9 @@ class JointWrenches(NamedTuple):
     """
     Force and moment at the joints of b bodies, each of shape (..., b, 3).
 
-    Each row is the wrench that the parent exerts on a body, in the order of ``robot.body_names``.
-    The URDF frame of the joint defines the axes and the reference point. The first row is the
-    wrench of the mount on the base.
+    The rows are in the order of ``robot.body_names``. Each row describes the wrench that the
+    parent of a body exerts on this body. The URDF frame of the joint defines the axes and the
+    reference point. The first row describes the wrench that the mount exerts on the base.
 
     """
 
@@ -221,10 +221,10 @@ def joint_wrenches(
     """
     Compute the force and moment that every body receives from its parent, LWP (45), (46).
 
-    ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench of the
-    mount on the base. ``R_LZ`` contains 9 numbers for each body: the rotation from its frame in
-    the table to the frame of its wrench. The other arguments and the status are as in
-    `newton_euler.inverse_dynamics`, but tau does not include armature, friction and springs.
+    ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench that the
+    mount exerts on the base. ``R_LZ`` contains 9 numbers for each body: the rotation from the
+    body's frame in the table to the frame of its wrench. The other arguments and the status are as
+    in `newton_euler.inverse_dynamics`, but tau does not include armature, friction or springs.
 
     """
     n = int(robot[0][JOINT_COUNT])

@@ -1,5 +1,5 @@
 r"""
-The equations of Luh, Walker and Paul, each link in its own frame, as functions of 3-vectors.
+The equations of Luh, Walker and Paul in link coordinates, as functions of 3-vectors.
 
 The paper is cited as LWP, with its equation numbers:
 
@@ -16,10 +16,11 @@ accel_com      acceleration of the link's centre of mass, minus gravity         
 force_net      resultant force on the link                                       N
 moment_net     resultant moment on the link, about its centre of mass            N m
 force          force that the parent exerts on the link                          N
-moment         moment that the parent exerts on the link, about its own origin   N m
+moment         moment of the parent on the link, about the origin of the link    N m
 =============  ================================================================  ============
 
-Outward, from base to tips: (36), (37), (40), (44), (41), (42). Inward: (45), (46), (47).
+The outward pass, from base to tips, evaluates (36), (37), (40), (44), (41) and (42), in this
+order. The inward pass evaluates (45), (46) and (47).
 
 Three equations of the paper are not needed. (38) is the angular acceleration in base coordinates;
 (37) gives it in link coordinates. (39) is the linear velocity, on which no force depends. (43) is
@@ -60,7 +61,7 @@ Vector = tuple[Any, Any, Any]
 
 @simd_inline
 def angular_velocity(omega_P: Vector, turn: Any) -> Vector:
-    """(36): angular velocity R_LP omega_P + z turn, with omega_P already in the link's frame."""
+    """(36): angular velocity R_LP omega_P + z turn; R_LP has already been applied to omega_P."""
     return omega_P[0], omega_P[1], omega_P[2] + turn
 
 
@@ -76,8 +77,8 @@ def point_acceleration(p: Vector, omega: Vector, omega_dot: Vector, accel: Vecto
     """
     (40), (44): acceleration accel + omega_dot x p + omega x (omega x p) of a point p of a body.
 
-    The origin of the body has the acceleration accel. In (40), without the joint's own rates, p is
-    the origin of the next link. In (44), p is the centre of mass.
+    The origin of the body has the acceleration accel. In (44), p is the centre of mass. In (40), p
+    is the origin of the next link, and the terms with the joint's own rates are added later.
 
     """
     return add(accel, add(cross(omega_dot, p), cross(omega, cross(omega, p))))
@@ -128,19 +129,20 @@ def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
     """
     (47): z . moment for a rotational joint, z . force for a translational one.
 
-    ``slides`` is 0 or 1. There is no branch, so that loops over lanes vectorise.
+    ``slides`` is 0 or 1. The function has no branch, so that the compiler can vectorise loops over
+    lanes.
 
     """
     return slides * force[2] + (1.0 - slides) * moment[2]
 
 
 # Frames. R is R_PL at joint position 0, row by row; c and s are the cosine and sine of the angle
-# by which the joint has turned from there.
+# by which the joint has turned from position 0.
 
 
 @simd_inline
 def origin_in_parent(R: Any, p: Vector, length: Any) -> Vector:
-    """Return p_PL of a link that has slid by ``length``; its axis is the third column of R."""
+    """Return p_PL of a link that has slid by ``length`` along its axis, the third column of R."""
     return add(p, (R[2] * length, R[5] * length, R[8] * length))
 
 
@@ -197,7 +199,7 @@ def symmetric(J: Any, v: Vector) -> Vector:
     )
 
 
-# The recursion. Loads, friction and mimic joints are in `newton_euler` only.
+# The recursion. Only `newton_euler` includes loads, friction and mimic joints.
 
 
 class Link(NamedTuple):

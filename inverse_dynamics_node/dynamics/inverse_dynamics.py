@@ -72,8 +72,8 @@ class InverseDynamics:
 
     Notes
     -----
-    Creating the first object on a machine takes a few seconds: code is compiled, and cached on
-    disk. Each thread needs its own object, because an object contains scratch space.
+    Creating the first object on a machine takes a few seconds, because code is compiled and cached
+    on disk. Each thread needs its own object, because an object contains scratch space.
 
     References
     ----------
@@ -88,7 +88,7 @@ class InverseDynamics:
         self._table = robot_table.table_of(robot)
         self._R_ZL = robot_table.rotations_to_z(robot)
         self._R_LZ = np.ascontiguousarray(self._R_ZL.transpose(0, 2, 1)).reshape(-1, 9)
-        self._base_motion: Floats = np.zeros((3, 3))  # angular velocity; both accelerations
+        self._base_motion: Floats = np.zeros((3, 3))  # as in `set_base_motion`
         self._is_rotating = False  # whether the base has an angular velocity or acceleration
         self._payloads: dict[str, RigidBody] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
@@ -141,8 +141,8 @@ class InverseDynamics:
         ----------
         q, qd, qdd : array_like, shape (..., n)
             Positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2]
-            of the n joints, in the order of ``robot.joint_names``. Leading dimensions are a batch,
-            and are broadcast against each other.
+            of the n joints, in the order of ``robot.joint_names``. Leading dimensions
+            form a batch, and are broadcast against each other.
         out : ndarray, shape (..., n), optional
             Array for the result, C-contiguous float64.
 
@@ -162,8 +162,8 @@ class InverseDynamics:
         allocated if the arguments and ``out`` are float64 arrays.
 
         Batches of at least 64 states are computed in blocks. Their results differ from those of
-        single states by rounding errors, which are less than 1e-12 of the largest effort. The
-        first such batch on a machine takes seconds: code is compiled, and cached on disk.
+        single states by rounding errors of less than 1e-12 of the largest effort. The first such
+        batch on a machine takes seconds, because code is compiled and cached on disk.
 
         """
         try:
@@ -223,7 +223,8 @@ class InverseDynamics:
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N], including those due to the rotation of the base.
+            Joint efforts [N m or N]. They include the Coriolis efforts due to the rotation of the
+            base, and are zero at zero velocities.
 
         Raises
         ------
@@ -254,8 +255,8 @@ class InverseDynamics:
         Returns
         -------
         mass_matrix : ndarray, shape (..., n, n)
-            Mass matrix, including payloads and armature; symmetric to the last bit [kg m^2, kg m
-            or kg, depending on the types of the joints].
+            Mass matrix, including payloads and armature [kg m^2, kg m or kg, depending on the
+            types of the joints]. The matrix is symmetric to the last bit.
 
         Raises
         ------
@@ -335,7 +336,7 @@ class InverseDynamics:
         q, qd, qdd : array_like, shape (..., n)
             Positions, velocities and accelerations of the n joints, as for `efforts`.
         out : ndarray, shape (..., b, 6), optional
-            Array for the forces and moments at b bodies, C-contiguous float64.
+            Array for the forces and moments on b bodies, C-contiguous float64.
 
         Returns
         -------
@@ -406,7 +407,7 @@ class InverseDynamics:
 
     def jacobian(self, q: ArrayLike, link: str, out: Floats | None = None) -> Floats:
         r"""
-        Compute the geometric Jacobian J of a link: :math:`J\,\dot q` is its velocity.
+        Compute the geometric Jacobian J of a link: :math:`J\,\dot q` is the velocity of the link.
 
         Parameters
         ----------
@@ -435,15 +436,16 @@ class InverseDynamics:
 
         See Also
         --------
-        pose : ``R = pose(q, link)[:3, :3]`` rotates vectors from the link's to the base frame.
+        pose : ``R = pose(q, link)[:3, :3]`` rotates vectors from link to base coordinates.
 
         Notes
         -----
         The transpose of J maps a force, and a moment about the link's origin, to the joint efforts
-        that do the same work. Force and moment are in base coordinates. A robot that exerts this
-        force and moment on the world needs these efforts in addition. `set_external_wrench` has
-        the opposite sign: its wrench is exerted by the world, and is in the link's frame. J does
-        not include the motion of the base. A mimic joint adds to the column of its master.
+        that do the same work. Force and moment are in base coordinates. To exert this force and
+        moment on the world, a robot needs these efforts in addition to those of `efforts`.
+        `set_external_wrench` has the opposite sign: the world exerts its wrench, which is in the
+        link's frame. J does not include the motion of the base. A mimic joint adds to the column
+        of its master.
 
         """
         return self._of_link(self._jacobian, (6, len(self._zeros)), q, link, out)
@@ -481,9 +483,9 @@ class InverseDynamics:
 
         Notes
         -----
-        Links that fixed joints connect are one body. A body that a mimic joint moves has its own
-        columns, and adds to the row of the joint that is mimicked. Y includes gravity and the
-        motion of the base. Y does not include armature, friction, springs and wrenches, because
+        Links connected by fixed joints are one body. A body that a mimic joint moves has its own
+        columns, which contribute to the row of the mimicked joint. Y includes gravity and the
+        motion of the base. Y does not include armature, friction, springs or wrenches, because
         their efforts do not depend on pi. Payloads change pi, but not Y.
 
         At the first call on a machine, code is compiled and cached on disk.
@@ -513,8 +515,8 @@ class InverseDynamics:
         -------
         parameters : ndarray, shape (10 (b - 1),)
             Parameters in the order of the columns of `regressor`, for b - 1 moving bodies. The
-            product ``regressor(q, qd, qdd) @ parameters`` is the effort of a robot without
-            armature, friction, springs and external wrenches.
+            product ``regressor(q, qd, qdd) @ parameters`` equals the efforts of a robot without
+            armature, friction, springs or external wrenches.
 
         """
         bodies = range(1, len(self.robot.parent))
@@ -586,7 +588,7 @@ class InverseDynamics:
         link : str
             Any link of the robot description.
         mass : float
-            Mass of the payload [kg]; 0 removes it.
+            Mass of the payload [kg]; 0 removes the payload.
         com : array_like, shape (3,)
             Centre of mass in the link's frame [m].
         inertia : array_like, shape (3, 3)
@@ -595,7 +597,7 @@ class InverseDynamics:
         Raises
         ------
         ConfigurationError
-            If the link does not exist, or mass and inertia are impossible for a rigid body.
+            If the link does not exist, or the mass, centre of mass or inertia is invalid.
 
         """
         k = self.robot.link_index(link)
@@ -613,7 +615,7 @@ class InverseDynamics:
         moment: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         """
-        Set the wrench that the world exerts on a link, replacing the previous one.
+        Set the wrench that the world exerts on a link, replacing any previous wrench.
 
         Parameters
         ----------
@@ -650,9 +652,9 @@ class InverseDynamics:
         Parameters
         ----------
         damping : array_like, shape (n,) or ()
-            Viscous friction d [N m s/rad or N s/m]; by default from the robot description.
+            Viscous friction d [N m s/rad or N s/m]; None for that of the robot description.
         coulomb : array_like, shape (n,) or ()
-            Coulomb friction c [N m or N]; by default from the robot description.
+            Coulomb friction c [N m or N]; None for that of the robot description.
         width : array_like, shape (n,) or ()
             Speed w over which Coulomb friction is smoothed [rad/s or m/s].
         load_friction : array_like, shape (n,) or ()
@@ -685,7 +687,7 @@ class InverseDynamics:
         damping = read_joints('damping', damping, n)
         coulomb = read_joints('coulomb', coulomb, n)
         speeds = read_joints('width', width, n)
-        if not (speeds >= np.finfo(float).tiny).all():  # smaller: the inverse may overflow
+        if not (speeds >= np.finfo(float).tiny).all():  # the inverse must not overflow
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
         per_load = read_joints('load_friction', load_friction, n)
         per_root = read_joints('sqrt_damping', sqrt_damping, n)
@@ -729,7 +731,7 @@ class InverseDynamics:
         Raises
         ------
         ConfigurationError
-            If a value is not finite, or a joint on the base has a coupling other than 0.
+            If a value is not finite, or a joint without a previous joint has a nonzero coupling.
 
         """
         values = self.checked_coupling(coupling)
@@ -737,19 +739,19 @@ class InverseDynamics:
         self.revision += 1
 
     def checked_coupling(self, coupling: ArrayLike) -> Floats:
-        """Check the couplings of n joints as in `set_drive_coupling`; return them, shape (n,)."""
+        """Check couplings as in `set_drive_coupling`; return them as an array of shape (n,)."""
         values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
         for k in np.flatnonzero(values):
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
                 raise ConfigurationError(
                     f"coupling of joint '{self.robot.joint_names[k]}' is {values[k]}, expected 0: "
-                    'no joint comes before it'
+                    'the joint has no previous joint'
                 )
         return values
 
     def set_springs(self, stiffness: ArrayLike, rest: ArrayLike = 0.0) -> None:
         r"""
-        Set springs or counterweights at joints, which add :math:`k\,(q - q_0)` to the efforts.
+        Set springs or counterweights that add :math:`k\,(q - q_0)` to the joint efforts.
 
         The efforts of springs are part of `gravity_efforts`, and of the term ``gravity`` of
         `effort_terms`. A spring increases or reduces the load on the gear.
@@ -782,7 +784,7 @@ class InverseDynamics:
         qdd: ArrayLike,
         out: Floats | None = None,
     ) -> Floats:
-        """Compute the efforts with a given table; there is a fast path for arrays of one state."""
+        """Compute the efforts from a given table; arrays of one state take a fast path."""
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
@@ -830,7 +832,7 @@ class InverseDynamics:
         return EffortTerms(*out)
 
     def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
-        """Compute the terms of many states, one term after the other."""
+        """Compute the terms of many states, term by term."""
         zeros, tables, terms = np.zeros(q.shape), self._term_tables(), EffortTerms(*out)
         self._efforts_in(tables.inertial, q, zeros, qdd, terms.inertial)
         self.coriolis_efforts(q, qd, terms.coriolis)
@@ -876,7 +878,7 @@ class InverseDynamics:
 
     @cached_property
     def _regressor(self) -> Callable[..., int]:
-        """The regressor function, compiled at first use, because most programs never use it."""
+        """The regressor function; it is compiled at first use, because few programs need it."""
         return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
 
     @cached_property

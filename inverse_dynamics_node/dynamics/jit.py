@@ -23,7 +23,8 @@ OK = 0
 WRONG_SIZE = 1
 NOT_FINITE = 2
 
-# Permits a fused a * b + c, and ignores the sign of zero. NaN stays NaN.
+# The compiler may fuse a * b + c, divide by multiplying by the reciprocal, and ignore the sign of
+# zero. NaN stays NaN.
 FAST_MATH = {'contract', 'nsz', 'arcp'}
 
 Function = TypeVar('Function', bound=Callable[..., Any])
@@ -35,24 +36,24 @@ _has_warned = False
 
 
 def compiled(function: Function) -> Function:
-    """Let `compile_for` compile a function and cache it on disk; without numba, do nothing."""
+    """Mark a function for `compile_for`, and for a cache on disk; without numba, do nothing."""
     return _kept(function) if IS_COMPILED else function
 
 
 def simd_kernel(function: Function) -> Function:
-    """Let `compile_for` compile a function of `batch` that runs without the interpreter lock."""
+    """Mark a function of `batch` for `compile_for`, to run without the interpreter lock."""
     return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
 
 
 def simd_step(function: Function) -> Function:
-    """Mark a function that a `simd_kernel` calls, and that loops over lanes."""
+    """Mark a function that loops over lanes and is called by a `simd_kernel`."""
     if not IS_COMPILED:
         return function
     return cast(Function, numba.njit(error_model='numpy', fastmath=FAST_MATH)(function))
 
 
 def simd_inline(function: Function) -> Function:
-    """Mark a function for inlining: a loop over lanes that calls functions is not vectorised."""
+    """Mark a function for inlining, because loops that call functions are not vectorised."""
     if not IS_COMPILED:
         return function
     options = {'error_model': 'numpy', 'fastmath': FAST_MATH, 'forceinline': True}
@@ -64,7 +65,7 @@ def compile_for(function: Any, *signatures: str) -> None:
     if not IS_COMPILED or function in _ready:
         return
     with _compiling:
-        if function in _ready:  # another thread has compiled it meanwhile
+        if function in _ready:  # another thread has compiled the function meanwhile
             return
         for signature in signatures:
             try:
@@ -72,7 +73,7 @@ def compile_for(function: Any, *signatures: str) -> None:
             except Exception as error:
                 # Possible causes: a full disk, or files that a power failure left incomplete.
                 _warn(error)
-                # numba has no public way to drop a cache, nor to replace the stamp in `_kept`.
+                # numba has no public way to drop a cache, or to replace a stamp as `_kept` does.
                 for dispatcher in _cached:
                     dispatcher._cache = numba.core.caching.NullCache()
                 function.compile(signature)
@@ -84,7 +85,7 @@ def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., in
     """
     Compile a function for contiguous float64 arrays; without numba, run it on lists of floats.
 
-    The function returns a status. Its last but one argument receives the results, and its last
+    The function returns a status. Its second-to-last argument receives the results, and its last
     argument is a table of `robot_table`. ``dimensions`` contains the number of dimensions of each
     argument. Arguments of other types raise a TypeError.
 
@@ -116,8 +117,8 @@ def _kept(function: Function, **options: Any) -> Function:
     try:
         dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
     except RuntimeError as error:
-        # No cache directory is writable, for example because root owns the package and a service
-        # without a home directory runs it.
+        # No cache directory is writable, for example because a service without a home directory
+        # runs a package that root owns.
         _warn(error)
         dispatcher = numba.njit(error_model='numpy', **options)(function)
     else:
@@ -137,7 +138,7 @@ def _stamp(folder: Path) -> tuple[tuple[str, float, int], ...]:
 
 
 def _warn(error: Exception) -> None:
-    """Warn once that compiled code is not kept; the cause is the same for every function."""
+    """Warn that compiled code is not kept, but only once: all functions have the same problem."""
     global _has_warned
     if not _has_warned:
         _has_warned = True

@@ -1,5 +1,5 @@
 """
-Axes, origins, pose and geometric Jacobian of links in base coordinates, for one state.
+Axes, origins, poses and geometric Jacobians of links in base coordinates, for one state.
 
 References
 ----------
@@ -66,7 +66,7 @@ def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
     if len(q) != int(robot[0][JOINT_COUNT]) or len(matrix) != 4 or len(matrix[0]) != 4:
         return WRONG_SIZE
-    if check(q) != OK:  # also for joints that do not affect the result
+    if check(q) != OK:  # includes joints that do not move the link
         return NOT_FINITE
     origin = place_bodies(q, link, robot)
     axes_of_body = axes(robot[int(link[BODY])])
@@ -85,14 +85,14 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
     Compute the geometric Jacobian of the origin of a link.
 
-    ``matrix`` receives three linear and then three angular rows of n numbers, for n joints. The
-    other arguments and the status are as in `pose`.
+    ``matrix`` receives three linear rows, and then three angular rows, of n numbers for n joints.
+    The other arguments and the status are as in `pose`.
 
     """
     n = int(robot[0][JOINT_COUNT])
     if len(q) != n or len(matrix) != 6 or len(matrix[0]) != n:
         return WRONG_SIZE
-    if check(q) != OK:  # also for joints that do not affect the result
+    if check(q) != OK:  # includes joints that do not move the link
         return NOT_FINITE
     origin = place_bodies(q, link, robot)
     for i in range(6):
@@ -170,7 +170,7 @@ def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
 
 @simd_inline
 def in_base(axes: Axes, v: Vector) -> Vector:
-    """Convert a vector from the frame with these axes to base coordinates."""
+    """Convert a vector from the frame with the given axes to base coordinates."""
     x, y, z = axes
     return (
         x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
@@ -181,5 +181,5 @@ def in_base(axes: Axes, v: Vector) -> Vector:
 
 @simd_inline
 def in_frame(axes: Axes, v: Vector) -> Vector:
-    """Convert a vector from base coordinates to the frame with these axes."""
+    """Convert a vector from base coordinates to the frame with the given axes."""
     return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)

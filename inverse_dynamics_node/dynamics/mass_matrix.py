@@ -1,10 +1,10 @@
 """
-The mass matrix of one state by the composite-rigid-body algorithm.
+The mass matrix of one state, computed by the composite-rigid-body algorithm.
 
-From tips to base, each link and all links that it carries are combined into one rigid body. A
-force and a moment give this body the acceleration that results from a unit acceleration of the
-link's joint. The entries of the mass matrix are the projections of this force and moment onto this
-joint, and onto every joint between it and the base.
+From tips to base, each link is combined with all links that it carries into one rigid body. A unit
+acceleration of the link's joint requires a force and a moment on this body. The projections of
+the force and moment onto the axis of this joint, and onto the axis of every joint between the link
+and the base, are entries of the mass matrix.
 
 All vectors are in base coordinates, and moments are about the origin of the link. Bodies are
 therefore combined, and forces projected, without rotations from link to link.
@@ -64,7 +64,7 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     for i in range(n):
         for j in range(n):
             matrix[i][j] = 0.0
-        # A position that is not finite becomes NaN here, even if no entry depends on it.
+        # A position that is not finite gives NaN here, even if no entry depends on the position.
         matrix[i][i] = robot[i + 1][ARMATURE] + (q[i] - q[i])
         ratio, before = coupling_of(robot[i + 1])
         if ratio != 0.0:
@@ -115,12 +115,12 @@ def check_diagonal(matrix: Any) -> int:
     """
     Return `NOT_FINITE` if an entry of the matrix is not finite, otherwise `OK`.
 
-    It is enough to check the diagonal: no entry of a positive definite matrix is larger than the
+    Checking the diagonal is enough: no entry of a positive definite matrix is larger than the
     largest entry of the diagonal.
 
     """
     for i in range(len(matrix)):
-        if matrix[i][i] - matrix[i][i] != 0.0:  # 0 only for finite numbers
+        if matrix[i][i] - matrix[i][i] != 0.0:  # 0 for finite numbers only
             return NOT_FINITE
     return OK
 
@@ -161,7 +161,7 @@ def in_base_axes(axes: Axes, body: Composite) -> Composite:
 
 @simd_inline
 def shifted(p: Vector, body: Composite) -> Composite:
-    """Express a composite body about another point; p points from there to the old origin."""
+    """Express a composite body about a new point; p points from the new point to the old."""
     mass, h, J = body
     # The parallel-axis theorem, with h the first moment about the old origin
     moved = h[0] + mass * p[0], h[1] + mass * p[1], h[2] + mass * p[2]
@@ -187,7 +187,7 @@ def combined(a: Composite, b: Composite) -> Composite:
 
 @simd_inline
 def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vector]:
-    """Return the force and moment that give a body at rest a unit acceleration of the joint."""
+    """Return the force and moment on a body at rest for a unit acceleration of the joint."""
     mass, h, J = body
     if slides != 0.0:
         force = mass * axis[0], mass * axis[1], mass * axis[2]
@@ -197,13 +197,13 @@ def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vec
 
 @simd_inline
 def along(axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """(47) for any axis: the effort of a joint due to a force and moment about its origin."""
+    """(47) for any axis: joint effort due to a force, and a moment about the joint's origin."""
     return dot(axis, force) if slides != 0.0 else dot(axis, moment)
 
 
 @simd_inline
 def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """Return the joint effort due to a force and moment about a point; ``arm`` points there."""
+    """Return the joint effort due to a wrench about the point to which ``arm`` points."""
     if slides != 0.0:
         return dot(axis, force)
     return dot(axis, add(moment, cross(arm, force)))

@@ -1,9 +1,9 @@
 """
-The two passes of Luh, Walker and Paul for one state; the equations are in `equations`.
+The two passes of Luh, Walker and Paul for one state, composed of functions of `equations`.
 
 The functions are compiled if numba is installed; otherwise they run as Python code. The robot is a
-table with a row for each body and the columns of `robot_table`. It is an array for numba, and a
-list of lists for Python.
+table with a row for each body and the columns of `robot_table`. The table is an array for numba,
+and a list of lists for Python.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def inverse_dynamics(
 
 @compiled
 def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> int:
-    """Call `inverse_dynamics` for every state; return the first failure, or `OK`."""
+    """Call `inverse_dynamics` for every state; return the status of the first failure, or `OK`."""
     for k in range(len(tau)):
         status = inverse_dynamics(q[k], qd[k], qdd[k], tau[k], robot)
         if status != OK:
@@ -117,7 +117,7 @@ def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> i
 
 @simd_inline
 def place_link(link: Any, q: float) -> Vector:
-    """Store and return the cosine and sine of the joint angle, and the length of the slide."""
+    """Store and return the cosine and sine of the joint angle, and the sliding distance."""
     position = link[MULTIPLIER] * q + link[POSITION_OFFSET]
     if link[SLIDES] != 0.0:
         c, s, length = 1.0, 0.0, position
@@ -153,7 +153,7 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
         store(link, FORCE, subtract(force_net, external_force))
         store(link, MOMENT, subtract(moment, external_moment))
     for joint in range(n):
-        # The effort of a spring. Without a spring it is 0, or NaN if the position is not finite.
+        # Without a spring, this effort is 0, or NaN if the position is not finite.
         tau[joint] = spring_effort(robot[joint + 1], q[joint])
     inward_pass(tau, robot)
     return check(tau)
@@ -167,7 +167,7 @@ def outward_pass(
     store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
-        # Called first: values that are read before sine and cosine would have to be read again.
+        # Called first: values that are read before the calls of sine and cosine are read again.
         c, s, length = place_link(link, q[int(link[JOINT])])
         parent, joint, multiplier, slides = joint_of(link)
         R, p = frame_of(link)
@@ -194,7 +194,7 @@ def outward_pass(
 def own_wrench(
     link: Any, omega: Vector, omega_dot: Vector, accel: Vector
 ) -> tuple[Vector, Vector]:
-    """Compute the force and moment that move a single link, minus its external load."""
+    """Compute the force and moment that move a single link, minus the link's external load."""
     mass, com, J = body_of(link)
     external_force, external_moment = load_of(link)
     accel_com = point_acceleration(com, omega, omega_dot, accel)  # (44)
@@ -226,7 +226,7 @@ def inward_pass(tau: Any, robot: Any) -> None:
 
 @simd_inline
 def spring_effort(row: Any, position: Any) -> Any:
-    """Return the effort with which the spring or counterweight at a joint acts on the links."""
+    """Return the joint effort that balances the spring or counterweight at a joint."""
     return row[STIFFNESS] * position + row[PRELOAD]
 
 
@@ -236,9 +236,9 @@ def drive_terms(tau: Any, robot: Any) -> None:
     Add the rotor inertia and friction of each drive to the efforts of the inward pass.
 
     Friction is an internal pair of moments at one joint, and does not propagate to the joints
-    below. The authors published this form in 1980: tau = n . z + b qd. With LWP (22), (23) of
-    1979, friction would propagate. A drive that also turns with the previous joint acts on both
-    joints, with equal power.
+    closer to the base. The authors published this form in 1980: tau = n . z + b qd. With LWP (22)
+    and (23) of 1979, friction would propagate. A drive that also turns with the previous joint
+    acts on both joints, with equal power.
 
     """
     for joint in range(len(tau)):
@@ -252,7 +252,7 @@ def drive_terms(tau: Any, robot: Any) -> None:
         effort = row[ARMATURE] * rate_dot + friction
         tau[joint] += effort
         if ratio != 0.0:
-            tau[before] += ratio * effort  # after its own terms, because joints are in order
+            tau[before] += ratio * effort  # friction at `before` is done
 
 
 @simd_inline
@@ -261,8 +261,8 @@ def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     Return the friction effort of a drive; ``numbers`` are from `friction_of`.
 
     Coulomb friction may grow with the load on the gear. The load is the effort (47) that links,
-    payloads, external wrenches and springs require. It does not contain rotor inertia and
-    friction, which act on the motor's side of the gear.
+    payloads, external wrenches and springs require. The load does not contain rotor inertia and
+    friction, because both act on the motor's side of the gear.
 
     """
     damping, coulomb, load_friction, sqrt_damping, inverse_width = numbers
@@ -283,7 +283,7 @@ def clear(tau: Any) -> None:
 
 @compiled
 def check(tau: Any) -> int:
-    """Return `NOT_FINITE` if an effort is not finite, for example because of an input."""
+    """Return `NOT_FINITE` if any effort is not finite, otherwise `OK`."""
     for joint in range(len(tau)):
         if tau[joint] - tau[joint] != 0.0:  # 0 for finite numbers only
             return NOT_FINITE

@@ -2,11 +2,11 @@
 The regressor of one state: efforts as a linear function of the inertial parameters.
 
 For a given motion, the net force and moment on a body are linear in its mass, its first moment
-(mass times centre of mass) and its inertia about the origin of its frame. By the principle of
-virtual work, the body contributes to the effort of each joint that moves it. The contribution is
-the power of the force and moment at a unit rate of the joint. The block of the regressor for this
-joint and body therefore depends only on the motion of the body at the given state, and on its
-velocity at a unit rate of the joint.
+(mass times centre of mass) and its inertia about the origin of its frame. The body contributes to
+the effort of each joint that moves it. By the principle of virtual work, the contribution is the
+power of the net force and moment at a unit rate of the joint. The block of the regressor for this
+joint and body therefore depends only on the motion of the body at the given state, and on the
+velocity of the body at a unit rate of the joint.
 
 References
 ----------
@@ -56,8 +56,8 @@ def regressor(
     Compute the regressor of one state, for n joints and b bodies.
 
     ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` contains 9 numbers for each body:
-    the rotation from its frame in the table to the frame of its parameters. The other arguments
-    and the status are as in `newton_euler.inverse_dynamics`.
+    the rotation from the body's frame in the table to the frame of its parameters. The other
+    arguments and the status are as in `newton_euler.inverse_dynamics`.
 
     """
     n, b = int(robot[0][JOINT_COUNT]), len(robot)
@@ -140,7 +140,7 @@ def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -
 
     """
     (w, v), (omega, omega_dot, accel) = twist, motion
-    # The force due to h is point_acceleration(h, ...); here its transpose is applied to v.
+    # h is mapped to a force by point_acceleration; the transpose of this map is applied to v.
     backwards = 0.0 - omega_dot[0], 0.0 - omega_dot[1], 0.0 - omega_dot[2]
     h = point_acceleration(v, omega, backwards, cross(accel, w))
     # w . (omega x (I omega)) = u . (I omega)

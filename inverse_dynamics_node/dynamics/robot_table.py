@@ -32,13 +32,13 @@ EXTERNAL_FORCE = 27  # force that the world exerts on the body [N]
 EXTERNAL_MOMENT = 30  # moment that the world exerts, about the body's origin [N m]
 # Properties of joint k, in row k + 1, because row 0 belongs to the base
 STIFFNESS = 33  # stiffness of the spring at the joint [N m/rad or N/m]
-PRELOAD = 34  # effort of the spring at joint position 0 [N m or N]
+PRELOAD = 34  # effort that balances the spring at joint position 0 [N m or N]
 COUPLING = 35  # turns of the drive per turn of the previous joint
 ARMATURE = 36
 DAMPING = 37
 COULOMB = 38
 INVERSE_WIDTH = 39  # 1 / speed over which Coulomb friction is smoothed [s/rad or s/m]
-LOAD_FRICTION = 40  # Coulomb friction per effort that the links require
+LOAD_FRICTION = 40  # Coulomb friction per unit of the effort that the links require
 SQRT_DAMPING = 41  # friction per square root of the speed
 JOINT_BEFORE = 42  # index of the previous joint, which moves the parent body; -1 at the base
 # Properties of the whole robot, in the row of the base
@@ -48,7 +48,7 @@ HAS_SPRINGS = 45
 # Scratch space of the passes, except for the motion of the base, which is an input
 COSINE = 46  # cosine of the angle by which the joint has turned
 SINE = 47
-LENGTH = 48  # length by which the joint has slid [m]
+LENGTH = 48  # distance by which the joint has slid [m]
 OMEGA = 49
 OMEGA_DOT = 52
 ACCEL = 55
@@ -57,7 +57,7 @@ MOMENT = 61
 RATE = 64  # speed of joint k
 RATE_DOT = 65
 COMPOSITE = 66  # ten columns, used by `mass_matrix` only
-POSITION = 76  # frame's origin in the base; the passes use neither the position nor the axes
+POSITION = 76  # origin of the frame, in base coordinates; the passes use no columns from here on
 X_AXIS = 79  # axis of the frame, in base coordinates
 Y_AXIS = 82
 Z_AXIS = 85
@@ -76,7 +76,7 @@ BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 
 @simd_inline
 def vector(row: Any, first: int) -> Any:
-    """Read the vector in three columns."""
+    """Read a vector from three columns."""
     return row[first], row[first + 1], row[first + 2]
 
 
@@ -137,13 +137,13 @@ def friction_of(row: Any) -> Any:
 
 @simd_inline
 def coupling_of(row: Any) -> Any:
-    """Read the coupling (drive turns per turn of the previous joint) and that joint's index."""
+    """Read the drive turns per turn of the previous joint, and the index of the previous joint."""
     return row[COUPLING], int(row[JOINT_BEFORE])
 
 
 @simd_inline
 def place_of(row: Any) -> Any:
-    """Read the cosine and sine of the joint angle, and the length of the slide."""
+    """Read the cosine and sine of the joint angle, and the sliding distance."""
     return row[COSINE], row[SINE], row[LENGTH]
 
 
@@ -170,7 +170,7 @@ _UPPER = np.triu_indices(3)
 
 
 def table_of(robot: RobotModel) -> Floats:
-    """Make the table of b bodies at rest, without gravity or loads, shape (b, COLUMNS)."""
+    """Make the table, shape (b, COLUMNS), of b bodies at rest without gravity or loads."""
     table = np.zeros((len(robot.parent), COLUMNS))
     R_ZL = rotations_to_z(robot)
     R_ZL_of_parent = R_ZL[robot.parent]
@@ -225,7 +225,7 @@ def write_friction(
 
 
 def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:
-    """Set the motion of the base: angular velocity, angular and linear acceleration."""
+    """Set the motion of the base: angular velocity, angular acceleration, linear acceleration."""
     row[BASE_MOTION_COLUMNS] = motion.ravel()
     row[ACCEL : ACCEL + 3] -= gravity  # LWP (31)
 
@@ -240,8 +240,8 @@ def joints_before(robot: RobotModel) -> Integers:
     """
     Return the index of the joint before each of the n joints, shape (n,).
 
-    The joint before a joint moves its parent body. The index is -1 if the parent body is the base,
-    or if the joint of the parent body mimics a joint with a larger index.
+    The joint before a joint is the joint that moves the parent body. The index is -1 if the parent
+    body is the base, or if the joint that moves the parent body mimics the given or a later joint.
 
     """
     before = np.full(len(robot.joint_names), -1)
@@ -254,7 +254,7 @@ def joints_before(robot: RobotModel) -> Integers:
 
 
 def rotations_to_z(robot: RobotModel) -> Floats:
-    """Return rotations R_ZL from the URDF frame L of each body to Z, with z on the joint axis."""
+    """Return the rotation R_ZL from each body's URDF frame to a frame with z on the joint axis."""
     return np.array([_rotation_of_z_to(axis).T for axis in robot.axis])
 
 

@@ -1,4 +1,4 @@
-"""Trajectories: derive missing velocities and accelerations, insert points, compute efforts."""
+"""Trajectories: derive velocities and accelerations, insert points, smooth, compute efforts."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .batch import LANES
 from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
-"""Largest number of states times joints; larger results take gigabytes."""
+"""Largest number of states times joints; larger results need gigabytes of memory."""
 _FEWEST_TO_SMOOTH = 16
-"""Smallest number of points that `smooth` accepts; the padding needs fewer points."""
+"""Smallest number of points that `smooth` accepts; the filter would accept fewer points."""
 
 
 class Trajectory(NamedTuple):
@@ -27,20 +27,20 @@ class Trajectory(NamedTuple):
     positions: Floats
     """Positions of m joints at k times, shape (k, m) [rad or m]."""
     velocities: Floats | None = None
-    """Velocities of m joints at k times, shape (k, m) [rad/s or m/s]; None to derive them."""
+    """Velocities of m joints at k times, shape (k, m) [rad/s or m/s]; None if unknown."""
     accelerations: Floats | None = None
-    """Accelerations of m joints, shape (k, m) [rad/s^2 or m/s^2]; None to derive them."""
+    """Accelerations of m joints, shape (k, m) [rad/s^2 or m/s^2]; None if unknown."""
 
 
 def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     """
-    Derive missing velocities and accelerations; return the trajectory, and what was derived.
+    Derive missing velocities and accelerations; return the result, and notes on what was derived.
 
-    Missing velocities are derived from a cubic spline through the positions, at rest at both ends.
-    Missing accelerations are derived from the same spline. If velocities are given, the
-    accelerations are the derivative of the cubic spline through the velocities. The third
-    derivative of this spline is continuous at the first and last inner points. A single point is
-    at rest. An invalid trajectory raises a TrajectoryError.
+    If there are no velocities, the velocities are derived from a cubic spline that passes through
+    the positions and is at rest at both ends. Missing accelerations are then derived from the same
+    spline. If there are velocities but no accelerations, the accelerations are derived from a
+    cubic spline through the velocities, with not-a-knot ends. A single point is at rest. An
+    invalid trajectory raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -63,13 +63,13 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
 
 def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers]:
     """
-    Insert states between distant points; return the new trajectory and the old points' indices.
+    Insert states between distant points; return the result and the indices of the old points.
 
-    The longest time between two states of the result is ``longest_step`` [s]. Two points are
-    connected by the quintic polynomial that matches position, velocity and acceleration at each
-    point, as in ros2_control's joint trajectory controller. If `complete` has derived velocities
-    and accelerations from the positions, the polynomial equals the cubic spline. A
-    TrajectoryError reports missing velocities or accelerations, or too many states for the memory.
+    In the result, consecutive states are at most ``longest_step`` [s] apart. Consecutive points
+    are connected by the quintic polynomial that matches position, velocity and acceleration at
+    both points, as in ros2_control's joint trajectory controller. If `complete` has derived
+    velocities and accelerations from the positions, the polynomials equal the cubic spline.
+    Missing velocities or accelerations, or too many states, raise a TrajectoryError.
 
     """
     times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations
@@ -107,10 +107,11 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     Smooth noisy measured positions, and derive velocities and accelerations from them.
 
     The result has evenly spaced times. Given velocities and accelerations are ignored. A
-    second-order Butterworth low-pass filter with the cut-off frequency [Hz] runs forwards and
-    backwards over the positions, which causes no delay. Central differences give velocities and
-    accelerations. Gravity efforts hardly change, because they depend only on positions. Too few
-    points, too low a rate, or an invalid trajectory raise a TrajectoryError.
+    second-order Butterworth low-pass filter with the cut-off frequency ``cutoff`` [Hz] runs over
+    the positions forwards and then backwards, so that the positions are not delayed. Central
+    differences give velocities and accelerations. Smoothing hardly changes gravity efforts,
+    because they depend only on positions. Too few points, too low a rate, or an invalid trajectory
+    raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -126,7 +127,7 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     times = np.linspace(trajectory.times[0], trajectory.times[-1], k)
     even = [np.interp(times, trajectory.times, column) for column in trajectory.positions.T]
     low_pass = butter(2, cutoff, fs=rate, output='sos')
-    run_in = min(k - 1, int(3.0 * rate / cutoff))  # number of points, longer than the transient
+    run_in = min(k - 1, int(3.0 * rate / cutoff))  # points of padding, longer than the transient
     positions = sosfiltfilt(low_pass, np.stack(even, axis=1), axis=0, padlen=run_in)
     velocities = np.gradient(positions, times, axis=0, edge_order=2)
     accelerations = np.gradient(velocities, times, axis=0, edge_order=2)
@@ -139,15 +140,15 @@ def trajectory_efforts(
     """
     Compute the efforts at k points of a trajectory of m joints, shape (k, m) [N m or N].
 
-    The trajectory must have velocities and accelerations. The efforts are in the order of its
-    joints, which may be any order. All other joints of the robot rest at their positions in
-    ``others``, shape (n,) for the n joints of the robot [rad or m]; by default at zero. Unknown or
-    repeated joint names raise a TrajectoryError.
+    The trajectory must have velocities and accelerations. Its joints may be some of the n joints
+    of the robot, in any order. The columns of the result are in the order of the trajectory's
+    joints. All other joints rest at their positions in ``others``, shape (n,) [rad or m], or at
+    zero if ``others`` is None. Unknown or repeated joint names raise a TrajectoryError.
 
     """
     states, index = whole_states(dynamics, trajectory, others)
     tau = np.empty_like(states[0])
-    # Small batches only: the first large batch compiles for seconds, too long for control loops.
+    # Batches stay small: the first large batch compiles for seconds, too long for control loops.
     for start in range(0, len(tau), LANES - 1):
         q, qd, qdd = (values[start : start + LANES - 1] for values in states)
         tau[start : start + LANES - 1] = dynamics.efforts(q, qd, qdd)
@@ -184,7 +185,7 @@ def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
 
     try:
         with np.errstate(all='ignore'):
-            # For two or three points scipy uses a line or a parabola.
+            # For two or three points, scipy uses a line or a parabola.
             derivative: Floats = CubicSpline(times, values, bc_type=ends)(times, order)
     except ValueError:  # raised if a slope is not finite
         derivative = np.full_like(values, np.nan)
@@ -223,7 +224,7 @@ def _check(trajectory: Trajectory) -> None:
 
 
 def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Return the index in ``known`` of each name; a TrajectoryError reports invalid names."""
+    """Return the index of each name in ``known``; invalid names raise a TrajectoryError."""
     if not names:
         raise TrajectoryError('the trajectory has no joint names')
     unknown = [name for name in names if name not in known]

@@ -1,4 +1,4 @@
-"""Makes the control loop from the parameters, and applies changes while the loop runs."""
+"""Makes the control loop from the parameters, and applies their changes while the loop runs."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Build the control loop, and call once every function whose first call is slow."""
+    """Build the control loop, and warm up the functions whose first call is slow."""
     loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
-    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines
+    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports scipy.interpolate
     return loop
 
 
 def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
     """
-    Build the control loop of a robot with the URDF `text`.
+    Build the control loop of a robot; `text` is the URDF of the robot.
 
-    The call takes less than a millisecond after `make_loop` has compiled the code. Raise an
+    Once `make_loop` has compiled the code, a call takes less than a millisecond. Raise an
     InverseDynamicsError if the parameters do not fit the robot.
     """
     loop = ControlLoop(
@@ -63,7 +63,7 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapping[str, Floats]:
     """
-    Return the values of the commanded joints, each of shape (m,), by name of the parameter.
+    Return each per-joint parameter by name, as values of the commanded joints, shape (m,).
 
     Raise a ConfigurationError if the values do not fit the robot.
     """
@@ -90,8 +90,9 @@ def apply_configuration(
     """
     Apply the parameters that may change while the loop runs.
 
-    `of_joint` is the result of `check_configuration`. Only values that differ from `before` are
-    applied. Otherwise a change of any parameter would undo a message on ~/gravity.
+    `of_joint` is the result of `check_configuration`. Only values that differ from the old
+    configuration `before` are applied. Otherwise a change of any parameter would discard the
+    gravity received on ~/gravity.
     """
     changed = {
         name
@@ -108,14 +109,14 @@ def apply_configuration(
     estimator.scale[loop.index] = of_joint['measured_effort_scale']
     if before is not None and 'gravity' in changed and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
-    # Blend the effect of the changes above, too.
+    # This call also blends in the changes above.
     loop.controller.apply(configuration, of_joint)
 
 
 def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: Mapping[str, Floats]
 ) -> None:
-    """Set drives and springs of the commanded joints; other joints keep the URDF friction."""
+    """Set the drives and springs of commanded joints; other joints keep their URDF friction."""
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
     def of_robot(name: str, others: Floats = zeros, least: float = -np.inf) -> Floats:

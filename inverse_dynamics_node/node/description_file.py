@@ -26,8 +26,8 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     """
     Return the robot and the text of its URDF.
 
-    `description` is the URDF from the topic. The text is used only if no parameter gives a URDF.
-    Raise an InverseDynamicsError if there is no description, or the description cannot be used.
+    `description` is the URDF from the topic; it is used only if no parameter gives a URDF.
+    Raise an InverseDynamicsError if there is no usable description.
     """
     missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
@@ -50,12 +50,12 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
 
 def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
     """
-    Load the file that robot_description_file names; return the robot and the URDF text.
+    Load the file named by robot_description_file; return the robot and the URDF text.
 
-    `given` is an absolute path, a path relative to the working directory or to a home directory
-    (``~``), ``file:///path`` or ``package://package/path``. A file whose name ends in ``.xacro``
+    `given` is ``file:///path``, ``package://package/path`` or a path, which may be absolute,
+    relative to the working directory, or start with ``~``. A file whose name ends in ``.xacro``
     is processed with xacro first; arguments ``name:=value`` may follow the file name. Raise
-    a ConfigurationError if the file or the package does not exist, or xacro fails. Raise a
+    a ConfigurationError if the file or the package does not exist, or if xacro fails. Raise a
     UrdfError if the file cannot be used.
     """
     file, arguments = _split(given)
@@ -103,7 +103,7 @@ def _load_xacro(
     try:
         return load_urdf(text, on_missing_inertial), text
     except UrdfError as error:
-        # The line numbers in the problems are those of the output of xacro.
+        # The line numbers in the problems refer to the output of xacro.
         raise UrdfError(error.problems, f'output of xacro {path}') from None
 
 
@@ -155,8 +155,8 @@ class DescriptionLoader:
     """
     Makes the control loop for a new robot description while the old loop runs.
 
-    Reading takes tenths of a second, and the robot must get commands during this time. Therefore
-    `worker` reads the descriptions in another process.
+    Reading a description takes tenths of a second, during which the robot must get commands.
+    Therefore `worker` reads the descriptions in another process.
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -170,7 +170,7 @@ class DescriptionLoader:
         return self._loading is not None
 
     def poll(self) -> bool:
-        """If possible, start to read a waiting description. Return whether to call `take_loop`."""
+        """Start to read a waiting description if possible; return whether to call `take_loop`."""
         is_ready = self._loading is not None and self._loading.done()
         if self._next is not None and (is_ready or self._loading is None):
             self._loading = self._worker.submit(load_robot, *self._next)
@@ -179,12 +179,12 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """Read this description next; ignore older descriptions that wait or are being read."""
+        """Schedule the reading of this description, and ignore all older descriptions."""
         self._next = configuration, description
         self.poll()
 
     def drop(self) -> None:
-        """Ignore the description that is being read, and the description that waits."""
+        """Ignore all descriptions that wait or are being read."""
         self._loading = self._next = None
 
     def take_loop(
@@ -193,10 +193,10 @@ class DescriptionLoader:
         """
         Return the new loop, and the links that had a payload but are not in the new description.
 
-        If `is_active`, the new loop continues from the last command of the old loop. Otherwise it
-        copies only inputs such as payloads. `configuration` may be newer than the one
-        passed to `load`. Raise an InverseDynamicsError if the description cannot be used, or
-        cannot replace the old one.
+        If `is_active`, the new loop continues from the last command of the old loop. Otherwise
+        the new loop copies only inputs such as payloads. `configuration` may be newer than the
+        configuration passed to `load`. Raise an InverseDynamicsError if the description cannot be
+        used, or cannot replace the old description.
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None

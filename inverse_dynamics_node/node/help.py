@@ -3,7 +3,7 @@ Generates texts from the declarations of parameters and topics, without ROS.
 
 The texts are ``--help``, ``--policy``, config/inverse_dynamics.yaml, config/sros2/policy.xml and
 the parameter table of doc/interface.md. After a change of a declaration, ``make parameters``
-writes the three files of the source tree.
+updates the three files.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ options:
   -h, --help  show this text
   --version   show the version
   --policy    show an SROS 2 policy for a node with these arguments
-  --ros-args  arguments for ROS follow: -p, --params-file set parameters; -r remaps topics"""
+  --ros-args  begins ROS arguments: -p and --params-file set parameters; -r remaps topics"""
 
 _EXAMPLES = """\
 examples:
@@ -138,7 +138,7 @@ GROUPS = {
         'allow_unknown_parameters',
     ),
 }
-"""The parameters in the order of ``--help``, by the title of their group."""
+"""The parameters by group title, in the order of ``--help``."""
 
 SUBSCRIBED = {
     'joint_states': ('sensor_msgs/JointState', 'measured state'),
@@ -224,7 +224,7 @@ def _describe(name: str, parameter: Parameter) -> str:
 
 
 def enclaves_for(arguments: Sequence[str]) -> tuple[Enclave, ...]:
-    """List the SROS 2 enclaves of the node and the surrounding programs, for these arguments."""
+    """Return the SROS 2 enclaves of a node with these arguments, and of the programs around it."""
     return enclaves(arguments, SUBSCRIBED, PUBLISHED, SERVICES)
 
 
@@ -234,7 +234,7 @@ def policy_for(arguments: Sequence[str]) -> str:
 
 
 def parameter_files(root: Path = _ROOT) -> dict[Path, str]:
-    """Return the generated texts by file path; paths are relative to the source tree `root`."""
+    """Return the generated texts by file path, relative to the source tree `root`."""
     page = (root / _INTERFACE).read_text()
     generated = re.compile(f'{re.escape(_BEGIN)}.*{re.escape(_END)}', re.DOTALL)
     section = f'{_BEGIN}\n\n{parameter_table()}\n{_END}'
@@ -265,7 +265,7 @@ def parameter_file() -> str:
 
 
 def parameter_table() -> str:
-    """Return a Markdown table of all parameters, and a list of their details below it."""
+    """Return a Markdown table of all parameters, followed by a list of details."""
     parameters = {**PARAMETERS, _LOCKED_JOINT: LOCKED_POSITION}
     rows = [_row(name, parameter) for name, parameter in parameters.items()]
     details = [

@@ -29,20 +29,20 @@ from .runner import LoopRunner
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
 _SMALL_CHANGE = 0.05  # smaller relative changes of gravity are not logged
-_MAX_REFERENCE = 1 << 16  # [bytes]; reading takes 2 ms, during which no command is sent
+_MAX_REFERENCE = 1 << 16  # [bytes]; reading this size takes 2 ms, during which no command is sent
 
 
 class Inputs:
-    """Stores received messages in the control loop, and steps the loop for each joint state."""
+    """Stores messages in the control loop; if update_rate is 0, joint states step the loop."""
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
-        self._configuration: Configuration | None = None  # as of the latest message
+        self._configuration: Configuration | None = None  # at the latest message that used it
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
-        self._collector: JointStateCollector | None = None  # the reader was made for this object
+        self._collector: JointStateCollector | None = None  # for which the reader was made
         self.last_joint_state = time.monotonic()
-        """Steady time of the last joint state [s]; before the first one, the time of the start."""
+        """Steady time of the last joint state [s]; until the first joint state, the start time."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
         """Number of complete updates of the commanded joints since the start."""
@@ -73,7 +73,7 @@ class Inputs:
         )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:
-        """Return the parameters. After a change, check the IMU frame and report gravity again."""
+        """Return the parameters; after a change, request new reports on the IMU and gravity."""
         configuration = self._runner.configuration
         if configuration is not self._configuration:
             self._configuration = configuration
@@ -114,7 +114,7 @@ class Inputs:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
-        """Return measured efforts: NaN if the message has none, () if no topic needs efforts."""
+        """Return the measured efforts; NaN if they are missing, () if no topic needs them."""
         if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:
@@ -178,7 +178,7 @@ class Inputs:
         self._handle('~/gravity', store)
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
-        """Report gravity if it differs from the last report; warn if it points up."""
+        """Report gravity if it has changed; warn if it opposes the parameter `gravity`."""
         configuration = self._use_parameters(loop)
         if self._reported_gravity is not None and self._reported_gravity[0] is loop:
             change = np.linalg.norm(gravity - self._reported_gravity[1])
@@ -223,7 +223,7 @@ class Inputs:
         )
 
     def _handle(self, topic: str, store: Callable[[ControlLoop, float], None]) -> None:
-        """Store a message in the loop, or log why it is dropped."""
+        """Store a message in the loop, or log why the message is dropped."""
         now = self._runner.now()
         if self._runner.loop is None:
             self._runner.reject(topic, 'there is no robot yet')
@@ -247,7 +247,7 @@ def _read_accelerations(
 
 
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
-    """Read the first point by joint name; missing accelerations and efforts become zero."""
+    """Read the first point, by joint name; missing accelerations and efforts become zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
             f'the message has {len(data)} bytes, expected at most {_MAX_REFERENCE}: only the '
@@ -259,7 +259,7 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
     names = list(message.joint_names)
     if sorted(names) != sorted(joints):
         raise JointStateError(
-            f'joint_names are {listed(names) or "empty"}, expected {listed(joints)}'
+            f'joint_names are {listed(names) or "empty"}; expected {listed(joints)}'
         )
     order = [names.index(joint) for joint in joints]
     point = message.points[0]
@@ -300,7 +300,7 @@ def _read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
 
 
 def _read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
-    """Read specific force and angular velocity, and rotate them into the frame of the base."""
+    """Read the specific force and the angular velocity, and rotate both into the base frame."""
     for what, covariance in (
         ('linear acceleration', message.linear_acceleration_covariance),
         ('angular velocity', message.angular_velocity_covariance),

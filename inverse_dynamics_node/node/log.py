@@ -27,8 +27,8 @@ from ..errors import shortened_lines
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
 _LONG_PERIOD = 10.0  # [s]; between repetitions of a problem that only a user can solve
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
-_MOST_CHANGES = 6  # largest number of changes of activity that are logged within _PERIOD
-_MOST_MESSAGES = 3  # largest number of reports on one topic that are logged within _PERIOD
+_MOST_CHANGES = 6  # at most this many changes of activity are logged within _PERIOD
+_MOST_MESSAGES = 3  # at most this many reports for each topic are logged within _PERIOD
 _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
 
 
@@ -68,20 +68,20 @@ class NodeLog:
 
     def __init__(self, logger: Any) -> None:
         self._logger = logger
-        self._times: dict[Hashable, float] = {}  # time of the last message by key
+        self._times: dict[Hashable, float] = {}  # time of the last message for each key
         self._last_activity: tuple[Phase, bool] | None = None
-        self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest
+        self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest changes
         self._has_reported_imu = False
         self._last_parts: dict[str, tuple[Level, str]] = {}
         self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
-        """Report the next activity, even if the same activity was reported before the stop."""
+        """Let the next step report its activity, even if the same activity was reported last."""
         self._last_activity = None
         self._changes.clear()
 
     def warn(self, key: Hashable, text: str | Callable[[], str]) -> None:
-        """Log a warning, unless one with this key was logged a moment ago."""
+        """Log a warning, unless the same key was used a moment ago."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
 
@@ -89,8 +89,8 @@ class NodeLog:
         """
         Log what a message has changed, or why it was dropped; log a warning if `is_problem`.
 
-        A text is dropped if the same text was logged a moment ago, or if too many texts were
-        logged for this topic.
+        The text is not logged if the topic has had the same text, or too many texts, a moment
+        ago.
         """
         times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
         now = time.monotonic()
@@ -115,7 +115,7 @@ class NodeLog:
             self._logger.error(text)
 
     def report_robot(self, loop: ControlLoop) -> None:
-        """Report the robot that has been loaded, and the warnings about its description."""
+        """Report the loaded robot, and the warnings about its description."""
         robot, joints = loop.robot, loop.controller.joints
         for warning in robot.warnings:
             self._logger.warning(str(warning))
@@ -131,7 +131,7 @@ class NodeLog:
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
     def report_part(self, name: str, part: Part | None) -> None:
-        """Report a problem in a part of the status every few seconds, then report its end once."""
+        """Report a problem in a part of the status every ten seconds, and report when it ends."""
         if part is None:
             return
         last = self._last_parts.get(name, (Level.OK, ''))
@@ -150,7 +150,7 @@ class NodeLog:
     def report_step(
         self, now: float, loop: ControlLoop, command: Command, *, is_dry_run: bool
     ) -> None:
-        """Report a change of activity. While efforts are held at zero, repeat the reason."""
+        """Report a change of activity, and other problems of the step; repeat an alarm."""
         controller = loop.controller
         phase = controller.phase
         # The end of a ramp down is a change within a phase. The end of a ramp up is not reported.
@@ -162,7 +162,7 @@ class NodeLog:
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
-            # A change of the joints is reported at once.
+            # A change of the saturated joints is reported at once.
             joints = command.is_saturated.tobytes()
             self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
 
@@ -181,7 +181,7 @@ class NodeLog:
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report lost IMU messages every few seconds, then report once that they are back."""
+        """Report the loss of IMU messages every few seconds, and report when they are back."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True

@@ -31,7 +31,7 @@ class _Stop:
 
     def __init__(self) -> None:
         self.count = 0
-        # nohup ignores SIGHUP, and expects its child process to ignore it, too.
+        # nohup ignores SIGHUP, and expects the same of its child process.
         self._numbers = [
             number
             for number in _SIGNALS
@@ -235,14 +235,14 @@ def _unblock_output() -> None:
     Prevent writes to standard output and standard error from blocking the control loop.
 
     If nobody reads the output, text is dropped and the writer continues. The logger of rclpy
-    writes while it holds the global lock of Python. A blocked write would therefore stop all
+    writes while it holds the global interpreter lock. A blocked write would therefore stop all
     threads, and writing in a separate thread would not help.
     """
     for number, name in ((1, 'stdout'), (2, 'stderr')):
         try:
             _unblock(number)
         except OSError:
-            # The output is closed. A new socket would get its number, and would receive the log.
+            # The output is closed. A new socket would get this number, and would receive the log.
             _open_as(os.devnull, number, os.O_WRONLY)
         output: Any = _LossyOutput(number, 'w', closefd=False)
         setattr(sys, name, io.TextIOWrapper(output, errors='backslashreplace', write_through=True))
@@ -256,7 +256,7 @@ def _report(message: str) -> None:
 def _unblock(number: int) -> None:
     """Reopen a pipe or terminal as non-blocking, but only for this process."""
     mode = os.fstat(number).st_mode
-    if stat.S_ISSOCK(mode):  # cannot be opened again
+    if stat.S_ISSOCK(mode):  # a socket cannot be opened again
         os.set_blocking(number, False)
     elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
         flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
@@ -272,7 +272,7 @@ def _open_as(path: str, number: int, flags: int) -> None:
 
 
 class _LossyOutput(io.FileIO):
-    """A file that drops any text that cannot be written at once."""
+    """A file that drops a text if it cannot be written at once."""
 
     def write(self, data: Any) -> int:
         with contextlib.suppress(OSError):

@@ -53,7 +53,7 @@ class InverseDynamicsNode(LifecycleNode):
     Publishers, subscriptions and services exist as long as the node exists. The control loop and
     its timers exist only while the node is configured.
 
-    `skip_ramp` returns whether to cut the stop ramp short. Create `scheduling` before the node.
+    `skip_ramp` returns whether to cut the stop ramp short. Create `scheduling` before `worker`.
     `worker` does long work; the default worker is a thread. Other arguments are passed to
     `LifecycleNode`.
     """
@@ -75,7 +75,7 @@ class InverseDynamicsNode(LifecycleNode):
         self.is_finalized = False
         self._may_autostart = configuration.autostart
         self._was_active = False
-        self._description = ''  # the latest from the topic
+        self._description = ''  # the latest text from the topic
         self._reason_to_stop = 'deactivated'
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         self._create_parts(configuration, skip_ramp)
@@ -120,7 +120,7 @@ class InverseDynamicsNode(LifecycleNode):
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
 
     def get_logger(self) -> Any:
-        """Return the logger of the node; it shortens long lines."""
+        """Return the logger of the node, which shortens long lines."""
         return BoundedLogger(super().get_logger())
 
     @property
@@ -132,10 +132,10 @@ class InverseDynamicsNode(LifecycleNode):
 
     def autostart(self) -> bool:
         """
-        Configure and activate if autostart is true and there is a robot description.
+        Configure and activate the node if it may autostart and has a robot description.
 
-        After the first activation, this method does nothing: a node that was deactivated by hand
-        stays inactive until it is activated by hand. Return False if the robot description or the
+        After the first activation, this method does nothing: a node that a user has deactivated
+        stays inactive until a user activates it. Return False if the robot description or the
         parameters cannot be used.
         """
         if not self._may_autostart:
@@ -156,7 +156,7 @@ class InverseDynamicsNode(LifecycleNode):
             self.trigger_deactivate()
 
     def catch_up(self) -> None:
-        """Handle the latest joint state, and do the work of the timers if they are late."""
+        """Handle the latest joint state and do the work of the timers, instead of the executor."""
         if self._runner.loop is None:
             return
         self._inputs.read_latest_joint_state()
@@ -165,7 +165,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._diagnostics.publish_if_late()
 
     def _keep_up(self) -> None:
-        """Handle the latest joint state before the executor handles further requests."""
+        """Handle the latest joint state, and step if a step is late, between two requests."""
         if self._runner.is_active:
             self._inputs.read_latest_joint_state()
             self._runner.step_if_late()
@@ -180,7 +180,7 @@ class InverseDynamicsNode(LifecycleNode):
         except MemoryError as error:
             self.get_logger().error(f'not enough memory: {error!r}')
             return _FAILURE
-        except Exception:  # rclpy would not log it
+        except Exception:  # rclpy would not log the error
             self.get_logger().error(traceback.format_exc())
             return TransitionCallbackReturn.ERROR
         return super().on_configure(state)
@@ -233,7 +233,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._graph.expect_discovery()
         self._warn_of_launch(configuration)
         self._runner.configure(loop)
-        # A garbage collection of all objects of the libraries would take tens of milliseconds.
+        # Garbage collection in all objects of the libraries would take tens of milliseconds.
         gc.freeze()
 
     def _warn_of_launch(self, configuration: Configuration) -> None:
@@ -256,7 +256,7 @@ class InverseDynamicsNode(LifecycleNode):
     # Parameters
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Accept new values only if the node can use all of them together."""
+        """Accept new values only if the node can use them together."""
         try:
             self._check_change(parameters)
         except InverseDynamicsError as error:

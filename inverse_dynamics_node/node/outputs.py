@@ -23,7 +23,7 @@ TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 
 
 class Outputs:
-    """Publishes the commands and the topics that explain the commands; reuses message objects."""
+    """Publishes the commands and the topics that explain them; reuses message objects."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
@@ -35,7 +35,7 @@ class Outputs:
         self._joint_commands = publisher(JointState, '~/joint_commands')
         own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
         self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
-        """Whether ~/joint_efforts is remapped: it may then command a robot by joint name."""
+        """Whether ~/joint_efforts is remapped, and may therefore command a robot by joint name."""
         by_name = [self._joint_efforts] * self.may_command_by_name
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
         """Publishers of the topics that may carry the commands."""
@@ -80,7 +80,7 @@ class Outputs:
         Publish efforts of the m commanded joints, shape (m,) [N m or N].
 
         `efforts` contains the computed efforts. `sent` contains the efforts for the robot, or is
-        None in a dry run.
+        None if nothing is sent.
         """
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
@@ -93,7 +93,7 @@ class Outputs:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
 
     def describe_dry_run(self, to: str) -> str:
-        """Describe where a dry run publishes efforts; `to` names the topic that gets none."""
+        """Describe where a dry run publishes efforts; `to` names the topic without efforts."""
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
             return f'are computed: dry run, nothing is sent {to}, nor to {by_name}'
@@ -102,13 +102,13 @@ class Outputs:
     def publish_zeros(self, loop: ControlLoop) -> None:
         """Publish zeros, and wait until they have been delivered."""
         zeros = np.zeros(len(loop.controller.joints))
-        for _ in range(3):  # best-effort subscribers do not acknowledge
+        for _ in range(3):  # because best-effort subscribers do not acknowledge
             self.publish_command(loop, zeros, zeros)
         for publisher in (self.commands, self._joint_efforts, self._joint_commands):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, loop: ControlLoop) -> None:
-        """Publish the terms of the last command, the base wrench and the external efforts."""
+        """Publish the base wrench, the external efforts and the terms of the last command."""
         if not self._subscribed.isdisjoint(self._terms):
             for publisher, term in zip(self._terms, loop.effort_terms(), strict=True):
                 if publisher in self._subscribed:
@@ -143,7 +143,7 @@ class Outputs:
 
 
 def _write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
-    """Write efforts into a reused message."""
+    """Write joint names and efforts into a reused message."""
     message.name = list(joints)
     message.effort = array('d', efforts.tobytes())
 

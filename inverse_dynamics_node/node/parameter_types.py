@@ -26,7 +26,7 @@ class Kind:
     expected: str
     """Description of the accepted values, for error messages."""
     convert: Callable[[Any], Any]
-    """Converts a value for the `Configuration`, or raises TypeError or ValueError."""
+    """Converts a value for the `Configuration`, or raises a TypeError or a ValueError."""
     choices: tuple[str, ...] = ()
     is_numeric: bool = False
 
@@ -105,7 +105,7 @@ _KINDS = {
 
 
 def kind_of(annotation: Any) -> Kind:
-    """Return the kind of parameter for the type of a field of `Configuration`."""
+    """Return the `Kind` for the type annotation of a field of `Configuration`."""
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         choices = tuple(choice.value for choice in annotation)
         return Kind(f'one of {", ".join(choices)}', annotation, choices)
@@ -120,14 +120,14 @@ class Parameter:
     default: Any
     """Default value, as written in a parameter file."""
     summary: str
-    """One or two short Markdown sentences for tables, without the last full stop."""
+    """One or two short Markdown sentences for tables, without the final full stop."""
     details: str = ''
-    """Further Markdown sentences, without the last full stop."""
+    """Further Markdown sentences, without the final full stop."""
     unit: str = ''
     minimum: float = -UNBOUNDED
     maximum: float = UNBOUNDED
     is_live: bool = True
-    """Whether a change applies at once. If not, it applies when the node is configured again."""
+    """Whether a change applies at once, rather than when the node is configured again."""
     is_read_only: bool = False
     """Whether the value is read when the process starts, and cannot change later."""
     is_unlimited_at_zero: bool = False
@@ -137,7 +137,7 @@ class Parameter:
 
     @property
     def description(self) -> str:
-        """Plain text: the summary, with the unit after its first sentence, then the details."""
+        """Plain text of summary and details, with the unit after the first sentence."""
         first, stop, rest = self.summary.partition('. ')
         unit = f' [{self.unit}]' if self.unit else ''
         text = f'{first}{unit}{stop}{rest}' + (f'. {self.details}' if self.details else '')
@@ -160,7 +160,7 @@ class Parameter:
 
     @property
     def default_text(self) -> str:
-        """Text of the default in a parameter file, or `default_note` if there is one."""
+        """The default as written in a parameter file, or `default_note` if that is not empty."""
         if self.default_note:
             return self.default_note
         if isinstance(self.default, bool):
@@ -169,7 +169,7 @@ class Parameter:
 
     @property
     def is_per_joint(self) -> bool:
-        """Whether the value is one number for all commanded joints, or a list."""
+        """Whether the value may be a list with one number for each commanded joint."""
         return self.kind is _NUMBERS
 
     @property
@@ -208,7 +208,7 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
 
 
 def _hint(value: Any) -> str:
-    """Return an explanation if the value is text that looks like a number; otherwise nothing."""
+    """Explain a text that looks like a number; return an empty text for any other value."""
     try:
         number = float(value) if isinstance(value, str) else math.nan
     except ValueError:

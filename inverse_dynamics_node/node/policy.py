@@ -32,7 +32,7 @@ _WATCHED = (
     '~/joint_efforts',
     '~/external_efforts',
 )
-_EVENTS = '/parameter_events'  # every node of rclpy publishes on it
+_EVENTS = '/parameter_events'  # every rclpy node publishes on this topic
 _SIMULATED = 'payload', 'push', 'tilt', 'sensors'  # own topics of `inverse_dynamics simulate`
 
 
@@ -104,7 +104,7 @@ def enclaves(
         'operator',
         subscribe=resolved((*published, *PUBLISHED_BY_ROS, *_ROBOT, *clock)),
         publish=(*resolved(inputs), '/rosout', _EVENTS),
-        # The nodes of `ros2` and of programs with references have any name.
+        # The nodes of `ros2`, and of programs that send references, may have any name.
         reply=tuple(f'/*/{name}' for name in _SERVICES_OF_EVERY_NODE),
         request=offered,
     )
@@ -112,7 +112,7 @@ def enclaves(
 
 
 def policy(found: Iterable[Enclave]) -> str:
-    """Return enclaves as the text of an SROS 2 policy file."""
+    """Return the text of an SROS 2 policy file with these enclaves."""
     lines = ['<policy version="0.2.0">', '  <enclaves>']
     for enclave in found:
         lines += [

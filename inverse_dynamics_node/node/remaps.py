@@ -1,7 +1,8 @@
 """
 Resolves names with the ROS arguments of the node, and finds mistakes in the arguments.
 
-The mistakes are remap rules and parameter files without effect, and missing parameter files.
+The mistakes are remap rules without effect, and parameter files that are missing or without
+effect.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ LIFECYCLE_SERVICES = (
     '~/get_available_transitions',
     '~/get_transition_graph',
 )
-# Names that rcl creates; rcl lists them after remapping or not at all.
+# Names that rcl creates, and lists only after remapping or not at all.
 _RCL_NAMES = '/clock', *PUBLISHED_BY_ROS, *LIFECYCLE_SERVICES
 _PREFIX = re.compile(r'(rostopic|rosservice)://')
 _HOME = re.compile(r'/root/|/home/[^/]+/')
@@ -49,7 +50,7 @@ class NodeNames:
         return full_name
 
     def _remapped(self, *names: str) -> str:
-        """Return the first replacement of a name in the remap rules; empty if there is none."""
+        """Return the target of the first remap rule for any of these names, or an empty text."""
         return next((target for given, target in self._rules if self._own(given) in names), '')
 
     def _own(self, given: str) -> str:
@@ -75,7 +76,7 @@ class NodeNames:
 
 
 def names_of(node: Any) -> list[str]:
-    """List the topics and services of a node before remapping."""
+    """Return the names of the topics and services of a node, before remapping."""
     topics = [entity.topic for entity in (*node.publishers, *node.subscriptions)]
     services = [service.srv_name for service in (*node.services, *node.clients)]
     return [*topics, *services, *_RCL_NAMES]
@@ -88,7 +89,7 @@ def ineffective_remaps(
     Describe the remap rules in `arguments` that match no name of a node.
 
     `names` are the topics and services of the node, before remapping. `node` and `namespace` are
-    its name and namespace after remapping.
+    the name and the namespace of the node, after remapping.
     """
     own = {_expanded(name, node, namespace) for name in names}
     problems = []
@@ -114,8 +115,8 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
     Return a command line with ``~`` expanded in the names of parameter files.
 
-    The shell does not expand ``~`` after ``:=``. Raise a ConfigurationError that names every
-    parameter file that does not exist.
+    The shell does not expand ``~`` in a launch argument such as ``params_file:=~/arm.yaml``. Raise
+    a ConfigurationError that names every missing parameter file.
     """
     found, problems = list(arguments), []
     for k, given in _operands(arguments, '--params-file'):
@@ -130,7 +131,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Describe the parameter files that this node ignores, because they are for other nodes only.
+    Describe the parameter files that have no effect, because they are for other nodes only.
 
     `name` is the fully qualified name of the node. rcl must have accepted the command line.
     """
@@ -147,7 +148,7 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
 
 def _content(file: str) -> Any:
     """Read a parameter file that rcl accepts; return None if the stricter PyYAML rejects it."""
-    import yaml  # which rclpy needs too
+    import yaml  # rclpy needs this module, too
 
     if not os.path.isfile(file):  # a pipe has been read already
         return None
@@ -179,7 +180,7 @@ def _remaps(arguments: Sequence[str]) -> Iterator[str]:
 
 
 def _operands(arguments: Sequence[str], *options: str) -> Iterator[tuple[int, str]]:
-    """Find the arguments that follow the given ROS options, each with its index."""
+    """Find the arguments that follow these ROS options; yield each argument with its index."""
     is_ros = is_operand = False
     for k, argument in enumerate(arguments):
         if is_operand:

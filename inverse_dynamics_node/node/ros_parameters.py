@@ -48,7 +48,7 @@ def declare_parameters(node: Node) -> Configuration:
                 'set allow_unknown_parameters to true'
             )
     if problems:
-        # All values are checked first: rclpy would stop at the first value out of range.
+        # All values are checked first: rclpy would stop at the first out-of-range value.
         raise ConfigurationError(*problems)
     for name, parameter in PARAMETERS.items():
         try:
@@ -82,7 +82,7 @@ def changed_configuration(before: Configuration, values: dict[str, Any]) -> Conf
 
 
 def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
-    """Describe each name that is not a parameter of the node, and suggest the closest one."""
+    """Describe each unknown parameter name, and suggest the closest known name."""
     others = [name for name in names if name not in PARAMETERS]
     if not others:
         return []
@@ -91,7 +91,7 @@ def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
 
 
 def unknown_overrides(node: Node) -> list[str]:
-    """Describe each parameter that was set at the start but that the node does not have."""
+    """Describe each parameter that was set at the start but does not exist."""
     later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
     return unknown_parameters(
         node, (name for name in _overrides(node) if not name.startswith(later))
@@ -125,8 +125,8 @@ def unused_qos_overrides(node: Node) -> list[str]:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return the parameters set on the command line and in files, by name, declared or not."""
-    # The public method declares all of them: a mistyped name would become a parameter.
+    """Return all parameters from the command line and files by name, even if undeclared."""
+    # The public method declares them all, so that a mistyped name would become a parameter.
     overrides: dict[str, Any] = node._parameter_overrides
     return overrides
 
@@ -138,8 +138,8 @@ def _declared(node: Node) -> list[str]:
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    # Without dynamic typing, rclpy would reject 500 for 500.0. Parameter.check() checks type and
-    # range instead, because rclpy checks only the range of single doubles.
+    # Without dynamic typing, rclpy would reject 500 in place of 500.0. Parameter.check() checks
+    # types and ranges, because rclpy would check only the ranges of single numbers.
     descriptor = ParameterDescriptor(
         description=parameter.description,
         additional_constraints=f'expected {parameter.kind.expected}; {parameter.applies}',
@@ -160,7 +160,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return the valid values as fields of a `Configuration`, and describe the invalid ones."""
+    """Return the valid values as fields of a `Configuration`, and describe the invalid values."""
     locked: dict[str, float] = {}
     checked: dict[str, Any] = {'locked_positions': locked}
     problems = []

@@ -1,4 +1,4 @@
-"""Steps the control loop on time, also during a stop and while too many messages arrive."""
+"""Steps the control loop on time, even during a stop and while too many messages arrive."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from .worker import Worker
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while joint states arrive
-_POLL_PERIOD = 0.0005  # [s]; between checks for a joint state while a stop damps the motion
+_POLL_PERIOD = 0.0005  # [s]; between checks for a joint state during stop damping
 _TIMEOUT = 0.1  # [s]; time-out of a spin that is not interrupted
-_PATIENCE = 0.03  # [s]; a spin that is late by this time is interrupted
-_CHECK_PERIOD = 0.05  # [s]; between checks whether a spin is late
+_PATIENCE = 0.03  # [s]; a spin that is this late is interrupted
+_CHECK_PERIOD = 0.05  # [s]; between checks for a late spin
 _SHORT_TIMEOUT = 0.01  # [s]; these three times apply while there are too many messages
 _SHORT_PATIENCE = 0.005
 _SHORT_CHECK_PERIOD = 0.01
@@ -108,7 +108,7 @@ class LoopRunner:
         self._timers = []
 
     def load_description(self, description: str) -> None:
-        """Load another robot description, and switch to its loop when the loop is ready."""
+        """Start to load a robot description, whose loop replaces the old loop once it is ready."""
         self.loader.load(self.configuration, description)
         self._watch_after(self._watch_period)
 
@@ -127,7 +127,7 @@ class LoopRunner:
         self.log.report_message(topic, f'message dropped: {reason}')
 
     def enable(self, *, is_enabled: bool) -> None:
-        """Let the efforts rise, or ramp the efforts down to zero and drop the reference."""
+        """Let the efforts rise, or ramp them down to zero and drop the reference."""
         assert self.loop is not None
         if is_enabled:
             self.loop.controller.resume()
@@ -165,7 +165,7 @@ class LoopRunner:
         self.outputs.publish_command(self.loop, command.efforts, command.sent)
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
-        """Start a dry run, or end it as soon as the commands are zero."""
+        """Start a dry run, or end the dry run as soon as the commands are zero."""
         is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
         time_to_fall = loop.controller.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
@@ -194,7 +194,7 @@ class LoopRunner:
             self.log.warn('explanation', str(error))
 
     def catch_up(self) -> None:
-        """Do the work of the timers if they are late."""
+        """Do the work of the timers instead of the executor."""
         if self.configuration.period:
             self._on_timer()
         self._on_watch()
@@ -223,11 +223,11 @@ class LoopRunner:
             if state is None or not 0.0 <= now - state.time <= timeout:
                 self.step(now)
             elif self._must_fall:
-                # The joint states may end at this moment, too, for example at an emergency stop.
+                # Joint states may be lost during the ramp, for example at an emergency stop.
                 if not 0.0 <= now - self._last_step < self._watch_period:
                     self.step(now)
             elif not self.loader.is_loading:
-                # No state can be lost earlier, and a check takes as long as a short step.
+                # An earlier check would find no loss, and would take as long as a short step.
                 wait = max(wait, min(state.time + timeout - now, _MAX_WATCH_PERIOD))
         self._watch_after(wait)
 
@@ -249,13 +249,13 @@ class LoopRunner:
             self._watch.reset()
 
     def _switch_loop(self) -> None:
-        """If a new robot description has been read and can be used, switch to its loop."""
+        """Switch to the loop of a new robot description that has been read and can be used."""
         assert self.loop is not None
         if not self.loader.poll():
             return
         try:
             loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
-        except Exception as error:  # any error in the process that has read it
+        except Exception as error:  # any error in the process that has read the description
             self._node.get_logger().error(
                 f'kept the old robot description, because the new one cannot be used: {error}'
             )
@@ -271,7 +271,7 @@ class LoopRunner:
         """
         Publish falling efforts, then zeros, within one callback: nothing else runs meanwhile.
 
-        `reason` is for the log. `read_joint_state` handles the latest joint state, if one has
+        `reason` is for the log. `read_joint_state` handles the latest joint state, if any has
         arrived.
         """
         assert self.loop is not None
@@ -319,7 +319,7 @@ class LoopRunner:
             damping.end(f'an error in the program: {error!r}')
 
     def _report_damping(self, loop: ControlLoop) -> None:
-        """Report why the stop damping has ended."""
+        """If stop damping has ended, report why."""
         report = loop.controller.stop_damping.report
         if not report:
             return
@@ -333,13 +333,13 @@ class LoopRunner:
 
 class Watchdog:
     """
-    Spins an executor so that each spin ends in time, even if its queue never becomes empty.
+    Spins an executor; each spin ends in time, even if the event queue never becomes empty.
 
     The EventsExecutor of rclpy queues one event for each message that arrives, and timers queue
     behind these events. The time-out of a spin applies only if the queue is empty. Therefore a
     thread ends the spin between two events, and the caller does all overdue work. The events stay
-    in the queue. A new executor would drop the events, but services of rclpy 7.1 would no longer
-    answer.
+    in the queue. A new executor would drop the events, but then services of rclpy 7.1 would no
+    longer answer.
     """
 
     def __init__(self) -> None:
@@ -352,21 +352,21 @@ class Watchdog:
         self._thread.start()
 
     def spin(self, executor: Any) -> None:
-        """Let an executor handle events for about a tenth of a second."""
+        """Let an executor handle events for a limited time, less than 0.2 s."""
         timeout, patience = (
             (_SHORT_TIMEOUT, _SHORT_PATIENCE) if self.is_congested else (_TIMEOUT, _PATIENCE)
         )
         future = self._future = Future()
         self._deadline = time.monotonic() + timeout + patience
         # spin() never returns in builds against an old C library, and spin_once() would return
-        # for every message.
+        # after every message.
         executor.spin_until_future_complete(future, timeout_sec=timeout)
         self._deadline = float('inf')
         self.is_congested = future.done()
 
     @property
     def native_id(self) -> int:
-        """Id of the watchdog thread in the kernel."""
+        """Kernel id of the watchdog thread."""
         assert self._thread.native_id is not None
         return self._thread.native_id
 

@@ -30,7 +30,7 @@ _HINT = (
 
 @functools.cache
 def available_cpus() -> frozenset[int]:
-    """Return the numbers of the CPUs that the process could use when it was started."""
+    """Return the numbers of the CPUs that the process could use at the first call."""
     return frozenset(os.sched_getaffinity(0))
 
 
@@ -43,12 +43,12 @@ def has_realtime_kernel() -> bool:
 
 class Scheduling:
     """
-    Lets the control loop and the middleware run before other programs.
+    Gives the control loop and the middleware precedence over other programs.
 
     Create this object in the thread of the control loop, before the worker and the node. Threads
-    that were started earlier keep normal priority, for example the threads of numerical libraries
-    and of the log. All threads of the middleware get real-time priority, because each may hold a
-    lock that the loop waits for. A new thread inherits the priority of the thread that starts it.
+    that were started earlier, such as those of numerical libraries and of the log, keep normal
+    priority. All threads of the middleware get real-time priority, because each may hold a lock
+    that the loop waits for. A new thread inherits the priority of the thread that starts it.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class Scheduling:
         return not problems, '; '.join([*done, *problems, *([_HINT] if problems else [])])
 
     def _threads(self) -> list[int]:
-        """Return the ids of the threads of loop, watchdog, middleware and rclpy."""
+        """Return the ids of the threads of the loop, the watchdog, the middleware and rclpy."""
         return [tid for tid in _thread_ids() if tid not in self._others]
 
     def _set_priority(self, priority: int) -> None:
@@ -113,7 +113,7 @@ class Scheduling:
 
     @contextlib.contextmanager
     def normal_priority(self) -> Iterator[None]:
-        """Run long work of the loop thread, such as compilation, at normal priority."""
+        """Give the loop thread normal priority for long work, such as compilation."""
         before = set(_thread_ids())
         if self._is_realtime:
             _schedule(self._loop, 0)
@@ -129,9 +129,9 @@ class Scheduling:
         """
         Give the threads normal priority while the process needs almost all of a CPU.
 
-        Call this method regularly. After a change, the result is a report for the log; otherwise
-        an empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of its CPU to
-        other programs: enough to stop the loop from a terminal, but not for other work.
+        Call this method regularly. Return a report for the log after a change of priority,
+        otherwise an empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of
+        its CPU to other programs: enough to stop the loop from a terminal, but not for other work.
         """
         duration = time.monotonic() - self._began
         if duration < (_WINDOW if self._is_realtime else _CALM_WINDOW):
@@ -169,11 +169,11 @@ class Scheduling:
 
 
 def lock_memory() -> str:
-    """Lock each memory page at its first use; return a log text or raise an OSError."""
+    """Lock each memory page at its first use; return a log text. Raise an OSError on failure."""
     libc = ctypes.CDLL(None, use_errno=True)
     _, limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))
-    # With a limit, a later allocation could fail and end the process.
+    # Under a limit, locking later allocations could end the process.
     is_limited = limit != resource.RLIM_INFINITY
     if libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT | (0 if is_limited else _MCL_FUTURE)):
         number = ctypes.get_errno()

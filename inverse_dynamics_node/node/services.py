@@ -48,7 +48,7 @@ class Services:
         loop = self._runner.loop
         response.success = loop is not None
         response.message = describe_robot(loop) if loop else 'there is no robot yet'
-        self._logger.info(response.message)  # ros2 service call prints it on one long line
+        self._logger.info(response.message)  # ros2 service call prints the report on one long line
         return response
 
 
@@ -73,7 +73,7 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
 
     The executor of rclpy 7.1 raises an error for a parameter of an unknown type, a time before
     zero on /clock, or a lifecycle transition that is not possible now. The executor would
-    continue after the error, but a client would wait for its answer forever.
+    continue after the error, but the client would wait forever for an answer.
 
     Call this function before the node creates its own services and subscriptions, whose errors
     must not be hidden. `keep_up` is called after every request, because many requests may be
@@ -121,7 +121,7 @@ def _set_all(node: LifecycleNode, request: Any, response: Any) -> Any:
 
 
 def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
-    """Set parameters together as rclpy does, or name the parameter that cannot be set."""
+    """Set parameters together, as rclpy does, or return why a parameter cannot be set."""
     reason = _problem(node, parameters)
     if reason:
         return SetParametersResult(reason=reason)
@@ -129,7 +129,7 @@ def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
 
 
 def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
-    """Return why parameters cannot be set. Unlike rclpy 7.1, name an unknown parameter."""
+    """Return why parameters cannot be set; unlike in rclpy 7.1, name an unknown parameter."""
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
             return (

@@ -1,4 +1,4 @@
-"""Publishes the status of the node on ``/diagnostics``, and logs its problems."""
+"""Publishes the status of the node on ``/diagnostics``, and logs problems in the status."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PERIOD = 1.0  # [s]; recommended by REP-107
 
 
 class StatusPublisher:
-    """Publishes the state of the node once a second, in every lifecycle state."""
+    """Publishes the status of the node once a second, in every lifecycle state."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class StatusPublisher:
             publishers=publisher_count,
             is_active=self._runner.is_active,
             is_dry_run=loop is not None and loop.dry_run.is_active,
-            # Publicly, only a service reports the state.
+            # The only public way to get the state is a service.
             state=str(node._state_machine.current_state[1]),
             others=self._graph.others(),
             state_publishers=tuple(publishers),

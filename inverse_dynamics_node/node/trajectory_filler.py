@@ -76,12 +76,12 @@ class TrajectoryFiller:
         reject: Callable[[Exception], None],
     ) -> None:
         """
-        Publish a serialized trajectory with its efforts as soon as they have been computed.
+        Queue a serialized trajectory, which is published with efforts once they are computed.
 
-        The worker gets a copy of the loop as it is now. `reject` is called later if the
+        The worker gets a copy of the loop in its present state. `reject` is called later if the
         trajectory cannot be used. If `is_active`, a long trajectory is refused, because it
         would delay commands. Raise a TrajectoryError if the trajectory is too long, too many
-        trajectories wait, or there is no subscriber.
+        trajectories wait, or nobody subscribes to the results.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
@@ -152,7 +152,7 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
 def _write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
-    """Return a message with the efforts; copy the header and the times from the old message."""
+    """Return a new message with the efforts, and with the header and the times of `message`."""
     result = JointTrajectory(header=message.header, joint_names=message.joint_names)
     rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
     result.points = [

@@ -26,9 +26,9 @@ _PR_SET_PDEATHSIG = 1  # prctl(2)
 
 class Worker:
     """
-    Calls functions in a child process, one after the other.
+    Calls functions one at a time in a child process.
 
-    A thread that reads a message or an XML file would hold the lock of the Python interpreter for
+    A thread that reads a message or an XML file would hold the global interpreter lock for
     milliseconds, and the control loop would have to wait. On a busy machine the loop would wait
     even longer, because the scheduler may interrupt a normal-priority thread that holds the lock.
 
@@ -36,7 +36,7 @@ class Worker:
     copy contains no ROS entities. Create the worker after the imports, so that both processes
     share the memory of the libraries. Create `Scheduling` before the worker, so that the threads
     of the worker get the priority of the loop: these threads hold the lock, too. Without
-    `has_process`, or after the end of the child process, a thread does the work.
+    `has_process`, or if the child process has ended, a thread does the work.
     """
 
     def __init__(self, has_process: bool = False) -> None:
@@ -49,7 +49,7 @@ class Worker:
                 pool = ProcessPoolExecutor(1, fork, _prepare, (os.getpid(),))
                 pool.submit(int)  # creates the process
                 self._executor = pool
-            except OSError as error:  # a limit of processes or of memory
+            except OSError as error:  # a limit on processes or on memory
                 self.problem = (
                     f'there is no process for long work ({error}): a thread does this work, and '
                     'delays the commands'
@@ -57,7 +57,7 @@ class Worker:
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """
-        Call a module-level function later; its arguments are pickled now.
+        Schedule a call of a module-level function, whose arguments are pickled now.
 
         Another thread completes the future. The caller must check regularly whether the future is
         done.
@@ -65,7 +65,7 @@ class Worker:
         request = pickle.dumps((function, arguments))
         try:
             return self._executor.submit(_call, request)
-        except BrokenExecutor:  # the process has ended, for example from a lack of memory
+        except BrokenExecutor:  # the process has ended, for example for lack of memory
             self._executor = ThreadPoolExecutor(1, 'worker')
             return self._executor.submit(_call, request)
 
@@ -78,7 +78,7 @@ def prepare_to_load() -> None:
 
 
 def _prepare(parent: int) -> None:
-    """Let a child process ignore signals, end with its parent, and run at normal priority."""
+    """Make the child process ignore signals, end with its parent, and run at normal priority."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # sent by a terminal or a service manager
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -93,5 +93,5 @@ def _call(request: bytes) -> Any:
         return function(*arguments)
     except InverseDynamicsError:
         raise
-    except Exception:  # an error of a library may not survive pickling
+    except Exception:  # an error of a library cannot always be pickled
         raise InverseDynamicsError(traceback.format_exc()) from None

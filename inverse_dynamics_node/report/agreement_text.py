@@ -1,4 +1,4 @@
-"""Writes the result of a live comparison of model and robot as one sentence."""
+"""Writes the result of a live comparison of model and robot in one or two sentences."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MOST_NAMES = 4
 
 
 def sentence(agreement: Agreement) -> str:
-    """Say whether model and robot agree, and if not, why; the text has no full stop at its end."""
+    """Say whether model and robot agree, and if not, why; omit the final full stop."""
     if agreement.obstacle is not None:
         return _OBSTACLES[agreement.obstacle](agreement)
     if agreement.faults:
@@ -22,7 +22,7 @@ def sentence(agreement: Agreement) -> str:
 
 
 def _differ(agreement: Agreement) -> str:
-    """Describe the faults in the words of `compare`, and say what to do about the first one."""
+    """Describe the faults in the words of `compare`, and say what to do about the first fault."""
     parts = [*map(_headline, agreement.faults), _sizes(agreement)]
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')

@@ -1,4 +1,4 @@
-"""The report of `compare`: a verdict, a table of efforts and a table of friction."""
+"""The report of `compare`: a verdict, and tables of efforts and friction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Describes the faults found in a recording: a headline, the evidence, and advice."""
+"""Describes faults in a recording, with a headline, evidence and advice for each fault."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_I
 
 
 def _changes(fault: Fault) -> str:
-    """Say how much a model of the fault reduces the residuals; both fits include friction."""
+    """Say how much correction of the fault reduces the residuals, with friction always fitted."""
     changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''
@@ -243,7 +243,8 @@ _EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
         FaultKind.SCALE: _scale_evidence,
         FaultKind.PAYLOAD: _payload_evidence,
         FaultKind.ROTOR_INERTIA: lambda each: (
-            f'an effort is proportional to the acceleration: {_values(each, "kg m^2", "kg")}'
+            'the measured efforts contain a term proportional to the acceleration: '
+            f'{_values(each, "kg m^2", "kg")}'
         ),
         FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
         FaultKind.NOT_MEASURED: lambda each: (

@@ -1,4 +1,4 @@
-"""Tables that describe an excitation motion, and the standard errors to expect."""
+"""Tables of an excitation motion and of the expected standard errors."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def excitation_tables(
     box: Extent,
 ) -> list[Table]:
     """
-    Describe an excitation motion, and the standard errors to expect after recording it.
+    Describe an excitation motion and the standard errors to expect from a recording.
 
-    `trajectory` is the motion that the command writes, which may be slower than planned. `efforts`
-    are the modelled efforts, shape (points, joints) [N m or N]. `box` contains the moving links in
-    all poses.
+    `trajectory` is the written motion, which may be slower than planned. `efforts` contains the
+    modelled efforts, shape (points, joints) [N m or N]. `box` encloses the moving links in all
+    poses.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [

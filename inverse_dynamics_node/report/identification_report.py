@@ -13,7 +13,7 @@ from ..errors import significant
 from .tables import motion_notes, Table, with_error
 
 DETERMINED = 0.5
-"""A mass is determined if at least this fraction of the information about it is recorded."""
+"""A mass is determined if this fraction of the information about the mass is recorded."""
 NOTED_CHANGE = 0.1
 """An undetermined mass gets a note if it changes by more than this fraction."""
 
@@ -187,7 +187,7 @@ def _millimetres(position: object) -> str:
 
 
 def as_json(result: IdentificationResult) -> dict[str, Any]:
-    """Return the report as values for JSON; lengths in m, masses in kg, efforts in N m or N."""
+    """Return values for JSON; lengths are in m, masses in kg, and efforts in N m or N."""
     report: dict[str, Any] = _plain(
         {
             'robot': result.robot.name,

@@ -14,7 +14,7 @@ from .tables import Table, with_error
 _WITHOUT_EMPTY = (
     'Without an empty run, errors in the modelled links look like a payload. On real robots, this '
     'apparent payload was 0.02 to 1.5 kg. The standard error includes only a guess of these '
-    'errors: record the same motion without the payload, and use this recording with --empty.'
+    'errors. Record the same motion without the payload, and give this recording as --empty.'
 )
 
 

@@ -1,4 +1,4 @@
-"""Describes a robot: masses, tree, limits, order of the commands, gravity efforts, warnings."""
+"""Describes a robot: masses, tree, limits, command order, gravity efforts and warnings."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
         kind, axis = kind_of(robot, body), _axis(robot.axis[body])
         rows.append((prefixes[body] + name, kind, axis, *of_joint, f'{robot.mass[body]:.4g}'))
     notes += [
-        f'Joints that mimic the position q of {master}; the effort of {master} includes their '
-        'efforts: ' + ', '.join(rules)
+        f'The effort of {master} includes the efforts of joints that mimic the position q of '
+        f'{master}: ' + ', '.join(rules)
         for master, rules in followers.items()
     ]
     title = 'Joints, from the base outwards'
@@ -179,7 +179,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
 def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
-    """Return the effort limits of all joints; `effort_limits` belong to commanded joints."""
+    """Return the limits of all joints; `effort_limits` are the limits of commanded joints."""
     indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:
@@ -201,7 +201,7 @@ def _axis(axis: Floats) -> str:
 
 
 def _branches(parent: Integers) -> list[str]:
-    """Return the prefixes that draw the tree; only branches are indented, chains are not."""
+    """Return the prefixes that draw the tree; branches are indented, but chains are not."""
     children: list[list[int]] = [[] for _ in parent]
     for body in range(1, len(parent)):
         children[int(parent[body])].append(body)

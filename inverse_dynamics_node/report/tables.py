@@ -1,8 +1,8 @@
 """
 Formats tables, warnings, numbers and units as text.
 
-A table contains strings only. Logs and services show it as plain text, and a terminal shows the
-same lines in colours.
+A table contains strings only. Logs and services show tables as plain text, and a terminal shows
+the same lines in colours.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def all_shortened(names: Sequence[str], size: int) -> list[str]:
 
 
 def shortened(text: str, size: int) -> str:
-    """Replace the middle of a long text with "…": joint names differ at the start or end."""
+    """Replace the middle of a long text with "…", because names differ at the start or end."""
     if len(text) <= size:
         return text
     stem = text.removesuffix('_joint')
@@ -210,7 +210,7 @@ def number(value: float) -> str:
 
 
 def fraction(effort: float, limit: float) -> str:
-    """Write the ratio of an effort to its limit as a percentage, or a dash if it has no limit."""
+    """Write the ratio of an effort to its limit as a percentage; without a limit, write a dash."""
     return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
 
 

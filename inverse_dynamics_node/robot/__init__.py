@@ -1,1 +1,1 @@
-"""Robot models, and reading them from URDF."""
+"""Robot models, and functions that load them from URDF."""

@@ -1,8 +1,8 @@
 """
-Capsules around the bodies of a robot, from its collision shapes.
+Capsules around the bodies of a robot, computed from its collision shapes.
 
-A capsule is the set of points within a radius of a line segment. Distances between capsules are
-computed quickly.
+A capsule is the set of points within a given distance of a line segment. Distances between
+capsules can be computed quickly.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from .model import Floats, Integers, RobotModel
 from .urdf.shapes import Shape
 
 ASSUMED_RADIUS = 0.05
-"""Radius of bodies without a shape, as a fraction of the length of the longest chain."""
+"""Radius of capsules around bodies without a shape, per length of the longest chain."""
 _SPACING = (0.008, 0.0125)
 """Spacing of surface points: the larger of a length [m] and a fraction of the longest side."""
 _CELLS = 120
-"""Number of cells along the longest side of a shape; vertices in one cell are merged."""
+"""Number of cells along the longest side of a shape; vertices in the same cell are merged."""
 _SMALLEST = 1e-6
-"""Smallest length of a shape [m], for shapes that are points."""
+"""Length [m] that is assumed for smaller shapes, such as points."""
 _DEPTH = 3
-"""Largest number of times that a shape is halved."""
+"""Largest number of successive cuts of a shape."""
 _PRICE = 0.04
-"""An additional capsule must save this fraction of the size of one capsule around the shape."""
+"""Required saving per additional capsule, as a fraction of the size of a single capsule."""
 _CUTS = (0.35, 0.65)
 _STEPS = 10
 """Number of steps in the search for the centre line of a capsule."""
@@ -67,7 +67,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume divided by pi, with only half of each round end; neighbours overlap there."""
+        """Volume divided by pi; each round end is halved, because neighbours overlap."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 
@@ -76,10 +76,10 @@ def body_capsules(
     robot: RobotModel, shapes: Iterable[Shape], unreadable: Mapping[str, str]
 ) -> Capsules:
     """
-    Return capsules around all bodies of a robot; shapes and reasons are from `read_shapes`.
+    Return capsules around all bodies; ``shapes`` and ``unreadable`` are from `read_shapes`.
 
     Some bodies have an unreadable shape, or a mass without a shape around it. Such a body gets
-    capsules of radius `ASSUMED_RADIUS` from its origin to its children, links and centre of mass.
+    capsules of an assumed radius from its origin to its children, links and centre of mass.
 
     """
     rows: list[_Row] = []
@@ -116,7 +116,7 @@ def body_capsules(
 
 
 def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
-    """Return why bodies lack a shape around their mass; ``shaped`` are links that have shapes."""
+    """Return why bodies lack a shape around their mass; ``shaped`` contains links with shapes."""
     reasons = {}
     for body in range(len(robot.parent)):
         points = [row[-1] for row in rows if row[0] == body]
@@ -125,7 +125,7 @@ def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dic
         links = np.flatnonzero(robot.link_body == body)
         heaviest = int(links[robot.link_mass[links].argmax()])
         if points and robot.link_mass[heaviest] > 0.0 and heaviest not in shaped:
-            # The shape may belong to another link, or only to a camera beside the mass.
+            # The shapes may be those of other links, such as a camera beside the mass.
             beyond = np.concatenate(points) - robot.com[body]
             if (beyond.min(axis=0) > 0.0).any() or (beyond.max(axis=0) < 0.0).any():
                 reasons[body] = 'it has no shape around its centre of mass'
@@ -167,8 +167,8 @@ def _distances(points: Floats, ends: Floats) -> Floats:
 
 
 def _pieces(shape: Shape) -> list[_Piece]:
-    """Cut a shape into pieces; their capsules together contain the shape."""
-    # Details smaller than a cell do not matter; the radius makes up for their removal.
+    """Cut a shape into pieces whose capsules together contain the shape."""
+    # Details smaller than a cell are removed; a larger radius compensates for the removal.
     cell = max(float(np.ptp(shape.vertices, axis=0).max()), _SMALLEST) / _CELLS
     rounded, index = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)
     faces = np.unique(np.sort(index.ravel()[shape.faces], axis=1), axis=0)
@@ -181,7 +181,7 @@ def _pieces(shape: Shape) -> list[_Piece]:
 
 
 def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
-    """Cut a piece if this reduces the sum of sizes and prices; return the sum and the pieces."""
+    """Cut a piece if cuts reduce the sum of sizes and prices; return the sum and the pieces."""
     one = piece.size + price, [piece]
     if depth == 0 or piece.size < 2.0 * price:
         return one
@@ -214,7 +214,7 @@ def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
 
 
 def _piece(vertices: Floats, faces: Integers) -> _Piece:
-    """Return triangles with a small capsule around them."""
+    """Return a piece that consists of triangles and a small capsule around the triangles."""
     from scipy.spatial import ConvexHull, QhullError
 
     used, index = np.unique(faces, return_inverse=True)
@@ -231,7 +231,7 @@ def _piece(vertices: Floats, faces: Integers) -> _Piece:
 
 
 def _capsule_along(points: Floats, axis: Floats) -> tuple[Floats, float]:
-    """Return the ends and the radius of a small capsule around points, along an axis."""
+    """Return the ends and radius of a small capsule around points, parallel to an axis."""
     along = points @ axis
     across = points - along[:, np.newaxis] * axis
     centre = 0.5 * (across.max(axis=0) + across.min(axis=0))

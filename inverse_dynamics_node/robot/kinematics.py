@@ -20,7 +20,7 @@ _FINGER_FRACTION = 0.3
 
 
 def path_to(robot: RobotModel, body: int) -> list[int]:
-    """Return the bodies from the first one after the base to the given body; none for the base."""
+    """Return the bodies on the path from the base to the given body, without the base."""
     path: list[int] = []
     while body > 0:
         path.insert(0, body)
@@ -53,7 +53,7 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
 
 
 def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
-    """Return the matrices of rotations about a unit vector [rad], from Rodrigues' formula."""
+    """Return matrices of rotations by angles [rad] about a unit vector (Rodrigues' formula)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = np.asarray(angle)[..., np.newaxis, np.newaxis]
@@ -63,7 +63,7 @@ def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
 
 
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
-    """Return the rotation about the fixed axes x, then y, then z, as in a URDF [rad]."""
+    """Return the matrix of rotations [rad] about fixed axes: x, then y, then z, as in a URDF."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
     return np.array(
         [
@@ -78,7 +78,8 @@ def rpy_of_quaternion(text: str) -> str:
     """
     Convert ``quat_xyzw`` to ``rpy``: roll, pitch and yaw about the fixed axes x, y, z [rad].
 
-    The text contains four numbers x, y, z, w, which are not all zero. They are normalised.
+    The text contains the four numbers x, y, z and w; at least one number is nonzero. The
+    quaternion is normalised.
 
     """
     values = [float(word) for word in text.split()]
@@ -86,7 +87,7 @@ def rpy_of_quaternion(text: str) -> str:
     x, y, z, w = (value / norm for value in values)
     # R = Rz(yaw) Ry(pitch) Rx(roll). Near a pitch of 90 degrees, only the sum or the difference of
     # roll and yaw is well defined. Any yaw is correct there, because the roll is computed from the
-    # rotation that remains without this yaw.
+    # rotation that remains after this yaw has been removed.
     r00, r10 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     r01, r11 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z)
     r02, r12, r20 = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 2.0 * (x * z - w * y)
@@ -117,17 +118,17 @@ def last_link(robot: RobotModel) -> str:
 
 
 def _without_fingers(robot: RobotModel, chain: Sequence[int]) -> int:
-    """Return the last body that is not part of a finger; ``chain`` starts at the base."""
+    """Return the last body that is not part of a finger; ``chain`` is from `path_to`."""
     lengths = np.cumsum([float(np.linalg.norm(robot.p_PL[body])) for body in chain])
     end = len(chain) - 1
     for i in range(1, len(chain)):
         is_branch = np.count_nonzero(robot.parent == robot.parent[chain[i]]) > 1
-        # Two arms also branch from a torso, but each arm is most of its chain.
+        # The arms of a torso are branches, too, but an arm makes up most of its chain.
         if is_branch and lengths[-1] - lengths[i - 1] < _FINGER_FRACTION * lengths[-1]:
             end = i - 1
             break
     arm = [body for body in chain[: end + 1] if not _moves_finger(robot, body)]
-    return arm[-1] if arm else chain[end]  # the robot consists of a finger only
+    return arm[-1] if arm else chain[end]  # every body is part of a finger
 
 
 def _moves_finger(robot: RobotModel, body: int) -> bool:

@@ -20,12 +20,12 @@ _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
 
 
 def limit_subject(joint: str, quantity: str) -> str:
-    """Return the subject of warnings about the limit of a joint's 'effort' or 'velocity'."""
+    """Return the subject of warnings about the 'effort' or 'velocity' limit of a joint."""
     return f"joint '{joint}' {quantity} limit"
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about missing and implausible effort limits, without those of the loader."""
+    """Return warnings about missing or implausible effort limits, in addition to the loader's."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -44,8 +44,8 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     Return warnings about effort limits that look like placeholders.
 
     Each limit is compared with the effort that holds the whole robot stretched out. A wrist
-    joint needs much less, but motors are not oversized by orders of magnitude. Prismatic joints
-    are not compared, because a gripper presses with many times the weight of its fingers.
+    joint needs much less, but motors are not oversized by orders of magnitude. Limits of prismatic
+    joints are not compared, because a gripper presses with many times the weight of its fingers.
 
     """
     hint = 'write the largest effort of the joint, from the data sheet of its drive'
@@ -72,7 +72,7 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
 
 
 def _moment_of_weight(robot: RobotModel) -> float:
-    """Return an upper bound of the gravity efforts, on Earth [N m]."""
+    """Return an upper bound of the gravity efforts on Earth [N m]."""
     reach = np.zeros(len(robot.parent))
     for body in range(1, len(robot.parent)):
         joint = int(robot.joint_index[body])
@@ -122,12 +122,13 @@ def implausible_positions(
     Find joints that are implausibly far outside their limits; report each joint once.
 
     Encoder offsets and soft limits often put a joint slightly outside its limits. A tenth of the
-    range is therefore tolerated, and at least 0.1 rad or 0.01 m. Joints without limits are not
-    checked. Joints with equal limits, which are usually placeholders, are not checked either.
+    range, or at least 0.1 rad or 0.01 m, is therefore tolerated. Joints without limits are not
+    checked. Joints whose lower and upper limits are equal are not checked either, because such
+    limits are usually placeholders.
 
     ``positions`` are one or more configurations of n joints, shape (..., n) [rad or m]; NaN and
-    infinite values are ignored. ``joint_names`` are the names of the columns, by default the
-    joints of the robot; unknown names are ignored.
+    infinite values are ignored. ``joint_names`` are the names of the columns; without names,
+    the columns are the joints of the robot. Unknown names are ignored.
 
     """
     names = tuple(joint_names) or robot.joint_names
@@ -161,7 +162,7 @@ def implausible_positions(
 def position_warnings(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> tuple[ModelWarning, ...]:
-    """Return warnings about `implausible_positions`; positions in degrees come first."""
+    """Return warnings about `implausible_positions`; positions likely in degrees come first."""
     hints = {
         True: 'convert the positions to radians',
         False: 'check units (rad, m), zero positions, the order of the joints, and whether the '
@@ -177,7 +178,7 @@ def position_warnings(
 
 
 def _worst(positions: Floats, lower: float, upper: float) -> float | None:
-    """Return the finite position furthest outside the limits, or the first if all are inside."""
+    """Return the finite position that is furthest outside, or least far inside, the limits."""
     finite = positions[np.isfinite(positions)]
     if not finite.size:
         return None

@@ -26,9 +26,9 @@ Booleans = NDArray[np.bool_]
 @dataclass(frozen=True)
 class ModelWarning:
     """
-    A problem in a robot description that can still be used.
+    A problem that does not prevent the use of a robot description.
 
-    ``str(warning)`` is one line with the line number, the subject and the text.
+    ``str(warning)`` contains the line number, the subject and the text, separated by colons.
 
     """
 
@@ -62,7 +62,7 @@ class RobotModel:
     name: str
     joint_names: tuple[str, ...]
     """
-    Names of the n joints that move and do not mimic others, depth first, siblings in file order.
+    Names of the n moving joints that do not mimic others; depth first, siblings in file order.
     """
 
     lower: Floats
@@ -80,10 +80,10 @@ class RobotModel:
     friction: Floats
     """Coulomb friction of the n joints and their mimic joints, shape (n,) [N m or N]."""
     is_continuous: Booleans
-    """Whether each of the n joints turns without limits, shape (n,); whole turns do not matter."""
+    """Whether each of n joints turns without limits (whole turns do not matter), shape (n,)."""
 
     body_names: tuple[str, ...]
-    """Name of the base link, then the name of the joint that moves each body; length b."""
+    """Name of the base link, then the names of the joints that move the other bodies; length b."""
     parent: Integers
     """
     Index of each body's parent, shape (b,); -1 for the base. Parents come before their children.
@@ -101,7 +101,7 @@ class RobotModel:
     offset: Floats
     """Position offsets of the b bodies, shape (b,) [rad or m]; see ``multiplier``."""
     R_PL: Floats
-    """Rotations from the frames of b bodies to their parents at position 0, shape (b, 3, 3)."""
+    """Rotations from the b body frames to the parents' frames at position 0, shape (b, 3, 3)."""
     p_PL: Floats
     """Origins of the b bodies in their parents' frames at position 0, shape (b, 3) [m]."""
     axis: Floats

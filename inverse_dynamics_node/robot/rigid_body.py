@@ -57,7 +57,7 @@ class RigidBody(NamedTuple):
 
     def parameters(self) -> Floats:
         """
-        Return the ten inertial parameters, shape (10,); efforts are linear in them.
+        Return the ten inertial parameters, shape (10,); efforts are linear in these parameters.
 
         The parameters are the mass [kg], the mass times centre of mass (x, y, z) [kg m], and the
         inertia (xx, xy, yy, xz, yz, zz) [kg m^2] about the origin of the frame, not about the
@@ -74,7 +74,7 @@ def combine(bodies: Iterable[RigidBody]) -> RigidBody:
     """
     Combine bodies, all in the same frame, into one rigid body.
 
-    Massless bodies may have inertia, such as the rotor of a motor. If all bodies are massless,
+    A massless body, such as the rotor of a motor, may have inertia. If all bodies are massless,
     the centre of mass is the origin.
 
     """
@@ -135,9 +135,9 @@ def moved_inside(parameters: Floats) -> Floats:
     """
     Return parameters, shape (10,), of the nearest body that has extent in all directions.
 
-    A body without extent, or with an impossible inertia, is enlarged: its radius of gyration
-    becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not change. The mass
-    must be above zero.
+    A body that has no extent in some direction, or an impossible inertia, is enlarged: its radius
+    of gyration becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not change.
+    The mass must be above zero.
 
     """
     matrix = pseudo_inertias(parameters)
@@ -154,7 +154,7 @@ def moved_inside(parameters: Floats) -> Floats:
 
 def transport(before: Floats, after: Floats) -> Floats:
     """
-    Return the matrix T nearest to the identity for which ``T before T^T = after``.
+    Return the matrix T with ``T before T^T = after`` that is nearest to the identity.
 
     The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If every part of
     the body is changed to ``T part T^T``, the parts remain physical, and their sum is ``after``.

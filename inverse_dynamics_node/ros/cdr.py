@@ -46,7 +46,7 @@ class JointStateArrays(NamedTuple):
 
 class JointStateReader:
     """
-    Reads serialized joint states, fast if the layout of the message is known.
+    Reads serialized joint states, with a fast path for known message layouts.
 
     `prepare` makes `JointStateArrays.joints` from the names, usually once for each publisher.
     """
@@ -57,7 +57,7 @@ class JointStateReader:
 
     def read(self, data: bytes) -> JointStateArrays:
         """
-        Read one message from a raw subscription; the arrays are read-only views in most cases.
+        Read one message from a raw subscription; the arrays are usually read-only views.
 
         Raise a JointStateError if `data` is not a JointState. `prepare` may raise this error, too.
         """
@@ -106,7 +106,7 @@ class _Layout(NamedTuple):
     """Texts and array lengths that all messages with this layout contain."""
     joints: Any
     places: tuple[tuple[int, int], ...]
-    """Length and byte offset of positions, velocities and efforts."""
+    """Lengths and byte offsets of positions, velocities and efforts."""
 
     def fits(self, data: bytes) -> bool:
         return len(data) == self.pattern.size and self.pattern.unpack(data) == self.fixed

@@ -1,5 +1,5 @@
 """
-Writes `NodeStatus` to ``/diagnostics`` in the format of REP-107, and reads it back.
+Converts `NodeStatus` to and from ``/diagnostics`` messages in the format of REP-107.
 
 Each field of the status declares its key and format. A value that is read back has only as many
 digits as its text.
@@ -74,7 +74,7 @@ class _Key:
     is_counted: bool
 
     def write(self, value: Any) -> dict[str, str]:
-        """Return the text of the value for each key."""
+        """Return the texts of the value by key."""
         if value is None:
             return {self.name: self.absent} if self.absent else {}
         if '*' not in self.name:
@@ -95,7 +95,7 @@ class _Key:
 
 
 def _keys(part: type[Part]) -> list[_Key]:
-    """Return the keys of a part as they are declared."""
+    """Return the keys that the fields of a part declare."""
     keys = []
     hints = get_type_hints(part)
     for field in fields(part):
@@ -121,7 +121,7 @@ _KEYS: dict[type[Part], list[_Key]] = {part: _keys(part) for part in _PARTS.valu
 
 
 def write_values(part: Part) -> dict[str, str]:
-    """Return the texts of the values of a part, by key."""
+    """Return the values of a part as texts, by key."""
     values: dict[str, str] = {}
     for key in _KEYS[type(part)]:
         values |= key.write(getattr(part, key.value))
@@ -132,8 +132,8 @@ def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
     """
     Return the message for ``/diagnostics``, with long texts shortened.
 
-    The header gets the time `stamp`. The name of each part begins with the fully qualified name
-    `node`.
+    `stamp` is the time in the header. The name of each part begins with `node`, the fully
+    qualified name of the node, but without the first slash.
     """
     message = DiagnosticArray()
     message.header.stamp = stamp
@@ -157,7 +157,7 @@ def read_status(message: Any, node: str) -> NodeStatus | None:
     """
     Read the status of the node with the fully qualified name `node`.
 
-    The message may come from any node, also from another version of this package. Values that
+    The message may come from any node, even of another version of this package. Values that
     cannot be read keep their defaults. Return None if the message is from another node.
     """
     prefix = f'{node.strip("/")}: '

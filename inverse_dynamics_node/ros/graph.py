@@ -12,13 +12,13 @@ from ..control.status import Others, SimulatedTime
 from ..control.status_text import join_names
 
 _DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
-_MAX_CHECKS = 10  # number of checks that wait for the node name of a known subscription
+_MAX_CHECKS = 10  # checks that may pass until the node of a subscription has a name
 _UNKNOWN = 'a node with an unknown name'
 
 
 class Graph:
     """
-    Queries the ROS graph for a node.
+    Queries the ROS graph on behalf of a node.
 
     A query takes 1 to 50 us in a small graph and longer in a large graph. Therefore only slow
     timers should make queries. `forms` are the publishers of the topics that may carry the
@@ -133,7 +133,7 @@ class Graph:
         )
 
     def _rivals(self, commands: Any) -> set[str]:
-        """Return the other nodes that publish on the topic of `commands` with its message type."""
+        """Return the other nodes that publish on the topic and with the type of `commands`."""
         kind = type_name(commands.msg_type)
         publishers = Counter(
             _name_of(info)

@@ -35,8 +35,8 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, even within a
     machine. The environment variables for UDP are set in this process and inherited by children.
 
-    `arguments` are ROS arguments, by default those of the process. Raise a ConfigurationError if
-    ROS would start without the security that the environment requests.
+    `arguments` are ROS arguments; the default is the arguments of the process. Raise a
+    ConfigurationError if ROS would start without the security that the environment requests.
     """
     rmw = get_rmw_implementation_identifier()
     check_security(rmw, os.environ)
@@ -51,8 +51,8 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     Raise a ConfigurationError if ROS would silently start without the requested security.
 
     ROS compares exact texts: with ``True`` or ``1`` security is off, and with the strategy
-    ``enforce`` security is not enforced. Only implementations based on DDS read the enclave;
-    rmw_zenoh ignores it. The error names the setting and its possible values.
+    ``enforce`` security is not enforced. Only middleware based on DDS reads the enclave; rmw_zenoh
+    ignores it. The error names the setting and its possible values.
     """
     enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
     problems = []
@@ -67,8 +67,8 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
         )
     elif enabled == 'true' and strategy == 'Enforce' and not rmw.startswith(_SECURE):
         problems.append(
-            f'{rmw} does not enforce the security of ROS 2, expected one of '
-            f'{", ".join(_SECURE)} with {_STRATEGY}=Enforce'
+            f'{rmw} does not enforce the security of ROS 2; with {_STRATEGY}=Enforce, expected '
+            f'one of {", ".join(_SECURE)}'
         )
     if problems:
         raise ConfigurationError(*problems)
@@ -100,10 +100,10 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     """
     Return the environment variables that keep Fast DDS from using shared memory.
 
-    The result is empty for other middleware, and if the user has chosen other transports. With the
-    discovery range LOCALHOST, rmw_fastrtps requests shared memory regardless of the chosen
-    transports. In this case, a profile replaces the range. If there are static peers, no profile
-    is used, because the profile would have to list the peers.
+    The result is empty for other middleware, and if the user has chosen other transports or a
+    profile. With the discovery range LOCALHOST, rmw_fastrtps requests shared memory regardless of
+    the chosen transports. In this case, a profile replaces the range. If there are static peers,
+    no profile is used, because the profile would have to list the peers.
     """
     profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
     has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')

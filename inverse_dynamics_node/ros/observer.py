@@ -30,7 +30,7 @@ from .diagnostics import read_status
 from .middleware import explained_start, start_ros
 
 _MOST_WARNINGS = 50
-_RATES = 3  # latest reports of the rate, one per second
+_RATES = 3  # number of latest rate reports to keep; one arrives per second
 _STALE = 0.5  # [s]; older efforts are treated as unknown
 _LONGEST_GAP = 0.5  # [s]; the filters restart after a longer gap, as in the node
 _SETTLING = 0.3  # [s]; until the filters of this process and of the node agree
@@ -62,11 +62,11 @@ class Sample(NamedTuple):
     qd: Floats
     """Velocities after the low-pass filter, shape (n,) [rad/s or m/s]."""
     measured: Floats
-    """Filtered efforts times the `measured_effort_scale` of the node, shape (n,) [N m or N]."""
+    """Filtered measured efforts times `measured_effort_scale`, shape (n,) [N m or N]."""
     modelled: Floats
-    """Efforts of the model for the measured motion, shape (n,) [N m or N]."""
+    """Modelled efforts for the measured motion, shape (n,) [N m or N]."""
     commands: Floats
-    """Commanded efforts without a filter, shape (n,) [N m or N]."""
+    """Commanded efforts, not filtered, shape (n,) [N m or N]."""
 
 
 @contextmanager
@@ -107,8 +107,8 @@ class Observer:
     """
     Collects the messages of the node with the fully qualified name `name`.
 
-    `poll` takes the messages from the middleware. No executor spins the node, because an executor
-    would call Python code a thousand times per second, once for each message.
+    `poll` takes the messages from the middleware. No executor spins the observing node, because
+    an executor would call Python code for each message, a thousand times per second.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -119,13 +119,13 @@ class Observer:
         """Steady time at which the latest diagnostics arrived [s]."""
         self._state_rates: deque[float] = deque(maxlen=_RATES)
         self.robot: RobotModel | None = None
-        """The robot of the node; None if it is not known yet."""
+        """The robot of the node; None if unknown."""
         self.robot_problem = ''
-        """Reason why the robot description cannot be used; empty if it can be used."""
+        """Why the robot description cannot be used; empty if there is no problem."""
         self.log: deque[LogLine] = deque(maxlen=_MOST_WARNINGS)
         """The latest warnings and errors, in the order of their arrival."""
         self.on_joint_state: Callable[[bytes, float], None] | None = None
-        """Called by `poll` with each serialized joint state, and the time of its arrival [s]."""
+        """Called by `poll` with each serialized joint state and its arrival time [s]."""
         self._diagnostics = self._subscribe(DiagnosticArray, self._diagnostics_topic(), qos.QUEUED)
         self._logs = self._subscribe(Log, '/rosout', _LOG)
         self._descriptions = self._subscribe(String, f'{name}/robot_description', qos.LATCHED)
@@ -148,7 +148,7 @@ class Observer:
         self._last_q: tuple[float, Floats] | None = None
 
     def poll(self) -> bool:
-        """Handle new messages; return True if the robot changed, which invalidates old samples."""
+        """Handle new messages; return True if a new robot description invalidates old samples."""
         for message, _ in self._take(self._diagnostics, DiagnosticArray):
             status = read_status(message, self.name)
             if status is not None:
@@ -204,7 +204,7 @@ class Observer:
     def _take(
         self, subscription: Any, kind: Any, raw: bool = False
     ) -> Iterator[tuple[Any, float]]:
-        """Yield each message in the queue, and the time at which it was received [s]."""
+        """Yield each message in the queue with its arrival time [s]."""
         while True:
             with subscription.handle:
                 taken = subscription.handle.take_message(kind, raw)
@@ -217,7 +217,7 @@ class Observer:
         namespace, _, name = self.name.rpartition('/')
         try:
             published = self._node.get_publisher_names_and_types_by_node(name, namespace or '/')
-        except Exception:  # the node is unknown; the type depends on the version
+        except Exception:  # the node is unknown; the error type depends on the version of rclpy
             published = []
         for topic, types in published:
             if 'diagnostic_msgs/msg/DiagnosticArray' in types:

@@ -13,15 +13,15 @@ from .cdr import JointStateReader, stamp_of
 from .observer import Observer
 
 _QUANTITIES = 'position', 'velocity', 'effort'
-_PATIENCE = 10.0  # [s]; until all joints have arrived; diagnostics come once a second
-_LISTENING = 1.0  # [s]; in which every publisher of joint states publishes
+_PATIENCE = 10.0  # [s]; longest wait for all joints; diagnostics come once a second
+_LISTENING = 1.0  # [s]; time in which every publisher of joint states should publish
 _SILENCE = 5.0  # [s]; the recording ends after this time without joint states
 _POLL = 0.02  # [s]
 
 
 class StateRows:
     """
-    Converts serialized joint states to rows of a CSV file, which has the joints seen by `note`.
+    Converts serialized joint states to rows of a CSV file with the joints seen by `note`.
 
     There may be several publishers, each with some of the joints. Cells without a value are empty.
     """
@@ -29,7 +29,7 @@ class StateRows:
     def __init__(self) -> None:
         self._reader = JointStateReader()
         self.joints: dict[str, bool] = {}
-        """For each joint, whether it had an effort."""
+        """Whether a joint has had an effort, by joint name."""
 
     def note(self, data: bytes) -> None:
         """Note which joints a state contains, and which of them have efforts."""
@@ -42,7 +42,7 @@ class StateRows:
         return ['time', *(f'{joint}.{x}' for joint in self.joints for x in _QUANTITIES)]
 
     def row(self, data: bytes, received: float) -> list[float | str | None] | None:
-        """Return time stamp and values of a state; the time is `received` if the stamp is zero."""
+        """Return the time stamp and the values of a state; `received` replaces a zero stamp."""
         values = {joint: values for joint, *values in self._values(data)}
         if values.keys().isdisjoint(self.joints):
             return None
@@ -61,7 +61,7 @@ class StateRows:
 
 
 class JointStateRecorder:
-    """Records the joint states that the node of an observer uses: first `wait`, then `record`."""
+    """Records the joint states that an observed node uses; call `wait`, then `record`."""
 
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
@@ -73,16 +73,16 @@ class JointStateRecorder:
 
     @property
     def topic(self) -> str:
-        """Topic of the joint states; empty if it is not known."""
+        """Topic of the joint states; empty if unknown."""
         status = self._observer.status
         return status.joint_states.topic if status and status.joint_states else ''
 
     def wait(self, joints: Sequence[str]) -> None:
         """
-        Wait until all joints of the node have arrived.
+        Wait until joint states of all joints of the node have arrived, or until a time limit.
 
-        Raise a ConfigurationError if there are no joint states, or if they have no effort of any
-        of the given joints.
+        Raise a ConfigurationError if there are no joint states, or if they contain no effort for
+        any of the given joints.
         """
         self._observer.on_joint_state = lambda data, _: self._rows.note(data)
         is_known, heard = False, math.inf
@@ -110,8 +110,8 @@ class JointStateRecorder:
         """
         Write the joint states to a file as they arrive; return why the recording ended early.
 
-        The reason is empty if it did not end early. `progress` is called with the fraction of the
-        time, 0 to 1.
+        The reason is empty if the recording did not end early. `progress` is called with the
+        elapsed fraction of the time, 0 to 1.
         """
         began = last = time.monotonic()
         with path.open('w', newline='', encoding='utf-8') as file:

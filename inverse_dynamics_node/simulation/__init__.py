@@ -1,1 +1,1 @@
-"""MuJoCo as the robot hardware, and the demo."""
+"""MuJoCo in place of the robot hardware, and the demo."""

@@ -24,13 +24,13 @@ GAP = 0.1  # [s]: a longer gap between commands restarts the wait for the hand-o
 SILENCE = 0.5  # [s]: after this long without commands, the position controller takes over
 STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this time
 LONGEST = 10.0  # [s]: after this time, unsteady commands take over too
-SPEED_FACTOR = 2.0  # ratio of the bound to the velocity limit: leaves room for overshoot
+SPEED_FACTOR = 2.0  # ratio of the bound to the velocity limit, with room for overshoot
 NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: bounds if the URDF has no velocity limit
 # Higher limits in URDFs are placeholders; lower bounds would stop a robot pushed by hand.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
-BRAKING_MARGIN = 1.25  # factor on the bounds: a smooth stop needs time to slow the robot down
+BRAKING_MARGIN = 1.25  # factor on the bounds while the robot brakes, which takes time
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
-COMPLAINT_PERIOD = 5.0  # [s] between logged errors, which may recur thousands of times a second
+COMPLAINT_PERIOD = 5.0  # [s]: least time between logs of an error, which may recur at 1 kHz
 
 
 class PositionDrive:
@@ -82,7 +82,7 @@ class PositionDrive:
         time, rate = min(elapsed, BRAKING), math.pi / BRAKING
         model = self._robot.robot
         free = self._start + 0.5 * self._speed * (time + math.sin(rate * time) / rate)
-        # A robot that was pushed beyond a limit is held there.
+        # A joint that was pushed beyond a limit does not go any farther.
         lowest = np.minimum(model.lower, self._start)
         position = np.clip(free, lowest, np.maximum(model.upper, self._start))
         moves = position == free
@@ -105,8 +105,8 @@ def velocity_bounds(robot: RobotModel) -> Floats:
     """
     Return the joint speeds at which the supervision stops a robot, shape (n,) [rad/s or m/s].
 
-    The bounds are twice the velocity limits, clipped to a plausible range. Joints with an infinite
-    limit get a default bound.
+    The bounds are twice the velocity limits, clipped to a plausible range. Joints without a
+    velocity limit get a default bound.
     """
     slides = robot.is_prismatic_joint
     default, least, most = (
@@ -125,7 +125,8 @@ class HandOver:
     The commands take over once they have been arriving for ``release`` seconds and have stopped
     rising. An earlier hand-over would drop the robot. The position controller ``drive`` takes over
     when the commands stop, when `hold` requests the hand-over, or when a joint becomes too fast.
-    After a joint was too fast, commands are ignored until they pause. The brakes must be open.
+    After a joint has been too fast, commands are ignored until they pause. The brakes must be
+    open.
     """
 
     def __init__(
@@ -166,7 +167,7 @@ class HandOver:
         self._actuation.command(command)
 
     def _compare(self, efforts: Floats, now: float) -> None:
-        """Restart the time for which the efforts have been steady if the efforts have changed."""
+        """If the efforts have changed, restart the timer for steady efforts."""
         size = np.abs(efforts)
         tolerance = 0.01 * size + 0.002 * size.max(initial=0.0)
         if (np.abs(efforts - self._steady_efforts) > tolerance).any():

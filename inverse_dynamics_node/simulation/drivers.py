@@ -1,4 +1,4 @@
-"""The conventions of robot drivers for commands and efforts; doc/robots.md has the sources."""
+"""The conventions of robot drivers for commands and efforts; doc/robots.md lists the sources."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Driver:
     """
     Position and velocity gains of the drives, for an inertia of 1 kg m^2 or 1 kg.
 
-    The gains of real drives suit one arm. In simulation, these gains are multiplied by the inertia
-    of each joint at the start.
+    Real drives have gains for one particular arm. The simulation multiplies ``gains`` by the
+    inertia of each joint in the start pose.
     """
     commands: str = 'forward_effort_controller/commands'
     """Topic of the commands."""
@@ -63,7 +63,7 @@ class Driver:
 
 TORQUES = Driver()
 """The driver of an ideal robot: all defaults of `Driver`."""
-_COMPLETE = 'inverse_dynamics/joint_commands'  # the node sends the form of these drivers
+_COMPLETE = 'inverse_dynamics/joint_commands'  # topic on which the node sends `Form.MOTION`
 _AMPERE = 0.1  # [A/N m]; an example, because UR does not publish the value
 _MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; for the large motors of an Interbotix wx250s
 
@@ -98,9 +98,9 @@ class Command(NamedTuple):
     efforts: Floats
     """Commanded efforts [N m or N]."""
     positions: Floats | None = None
-    """Commanded positions with `Form.MOTION`, otherwise None [rad or m]."""
+    """Commanded positions [rad or m] with `Form.MOTION`, otherwise None."""
     velocities: Floats | None = None
-    """Commanded velocities with `Form.MOTION`, otherwise None [rad/s or m/s]."""
+    """Commanded velocities [rad/s or m/s] with `Form.MOTION`, otherwise None."""
 
 
 def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command:
@@ -153,7 +153,7 @@ class Actuation:
         self._command = Command(np.zeros(len(joints)))
 
     def command(self, command: Command) -> None:
-        """Store a command, which `act` applies until the next one."""
+        """Store a command, which `act` applies until the next command is stored."""
         self._command = command
 
     def with_gravity(self, efforts: Floats) -> Floats:
@@ -170,7 +170,7 @@ class Actuation:
         self.robot.command(efforts)
 
     def measured(self, efforts: Floats) -> Floats:
-        """Return the driver's values for the efforts of the joints ``robot.state_names``."""
+        """Convert the efforts of the joints ``robot.state_names`` to reported values."""
         measured = efforts * self.driver.measured_unit
         if not self.driver.measures_gravity:
             measured[self._state_index] -= self.driver.measured_unit * self._gravity()

@@ -2,8 +2,8 @@
 The simulated robot as a ROS process: publishes ``joint_states`` and applies ``commands``.
 
 The robot behaves like an arm with joint_state_broadcaster and forward_command_controller. It
-publishes joint states at a fixed rate, sorted by name. The robot applies the last complete, finite
-command until the next one.
+publishes joint states, sorted by name, at a fixed rate. The robot applies every complete, finite
+command until the next such command.
 
 Brakes hold the robot until commands have arrived for a while, as on a real arm after power-on. A
 controller may therefore start late and ramp up its efforts without dropping the arm. The topic
@@ -19,13 +19,13 @@ efforts follow the conventions of a driver.
 Four topics disturb the robot:
 
 - ``~/payload`` attaches a load to a link; a mass of 0 removes the load.
-- ``~/push`` applies a wrench to a link until the next message; the wrench is given in the link's
-  frame about its origin.
+- ``~/push`` applies a wrench to a link until the next message; the wrench is in the link's frame,
+  about the origin of this frame.
 - ``~/tilt`` turns the base within 3 s; the new attitude is a rotation vector from level [rad].
 - ``~/sensors``: false stops the joint states and applies the brakes, like drives that lose their
   encoders; true resumes the joint states.
 
-The topic ``imu`` reports the readings of an IMU on the base, one for every joint state.
+The topic ``imu`` has the readings of an IMU on the base, one reading per joint state.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class RobotNode(Node):
         gravity, angular_velocity, _ = self._tilt.motion(self._elapsed)
         self._imu.header.stamp = stamp
         _write(self._imu.angular_velocity, self._R_BS.T @ angular_velocity)
-        # The base turns about its origin, where the IMU measures only gravity.
+        # The IMU is at the origin, about which the base turns: it measures only gravity.
         _write(self._imu.linear_acceleration, -self._R_BS.T @ gravity)
         self._imus.publish(self._imu)
 
@@ -265,7 +265,7 @@ def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], boo
     Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
     After a pause of the machine, the simulation catches up at twice the normal speed and publishes
-    every state. In a burst, a subscriber that keeps only the latest state would miss the others.
+    every state. In a burst, a subscriber that keeps only the latest state would miss earlier ones.
     """
     period = 1.0 / rate
     due = time.monotonic()
@@ -348,7 +348,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         '--friction',
         action='store_true',
-        help='give the joints the damping and friction of the URDF; by default they have none',
+        help='give the joints the damping and friction of the URDF (default: none)',
     )
     parser.add_argument(
         '--held',

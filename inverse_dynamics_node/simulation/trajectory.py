@@ -1,8 +1,8 @@
 """
 A smooth reference motion for any robot; it starts and ends at rest and stays within all limits.
 
-Each joint oscillates about its start position with its own frequency. A quintic polynomial fades
-the sine in and out, so that position, velocity and acceleration are continuous at both ends.
+Each joint oscillates about its start position at a frequency of its own. A quintic polynomial
+fades the sine in and out, so that position, velocity and acceleration are continuous at both ends.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Oscillation:
 
 
 def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and its first two derivatives."""
+    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and the first two derivatives."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return (
         x**3 * (10.0 + x * (6.0 * x - 15.0)),
@@ -106,7 +106,7 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
 
 def independence(inertia: Floats) -> float:
-    """Return the smallest eigenvalue of a mass matrix scaled to a unit diagonal, from 0 to 1."""
+    """Scale a mass matrix to a unit diagonal; return the smallest eigenvalue, from 0 to 1."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
     return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
 
@@ -131,7 +131,7 @@ def plan(
     robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: float
 ) -> Oscillation:
     """
-    Plan a motion about ``start`` that stays within position, velocity and effort limits.
+    Plan a motion about ``start`` within the limits of position, velocity and effort.
 
     The motion lasts ``moving`` seconds. Raise a `SimulationError` if no joint can move.
     """

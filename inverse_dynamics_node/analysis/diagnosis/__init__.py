@@ -1,4 +1,4 @@
-"""Compares recordings with the model: derives the motion, fits friction, diagnoses differences."""
+"""Compares recordings with the model, fits friction, and diagnoses differences."""
 
 from .fault import Change, Fault, FaultKind, GravityConvention
 from .friction import friction_parameters, FrictionFit

@@ -2,9 +2,10 @@
 Checks whether several links have wrong inertial parameters, and whether other causes exist.
 
 The parameters of all links are fitted near their values in the model, together with friction,
-rotors and offsets. The fit uses one half of the recording. If the fitted links predict the other
-half far better than a simpler explanation, the simpler explanation is not credible. A payload, a
-mounting or a delay is added if the links would need far larger errors without this cause.
+rotors and a delay. Links that are fitted to one half of the recording predict the other half. If
+this prediction is far better than a simpler explanation, the simpler explanation is not credible.
+A payload, a mounting or an offset is added if the links would need far larger errors without this
+cause.
 """
 
 from __future__ import annotations
@@ -32,35 +33,35 @@ from .joint_samples import (
 from .loads import PARAMETERS
 from .regression_data import CandidateModel, LIKE_A_LOAD, RegressionData, RobotFit
 
-MOST_SAMPLES = 800  # samples of the recording that are used
-BLOCKS = 10  # contiguous; links are fitted to every second block and tested with the others
-SEGMENTS = 40  # contiguous; segments that fit badly have less weight
+MOST_SAMPLES = 800  # approximate largest number of samples that the fit uses
+BLOCKS = 10  # contiguous blocks; links fitted to every second block predict the other blocks
+SEGMENTS = 40  # contiguous segments; a segment with a bad fit has less weight
 ROUNDS = 4  # links and weights are fitted in turn
 SPREADS = (0.1, 0.2, 0.3, 0.5)
 """Assumed relative standard deviations of the masses; the most likely one is chosen."""
 SIZE = 0.2  # [m], standard deviation of centres of mass and radii of gyration
-LIGHTEST = 0.1  # [kg]; the parameters of lighter bodies are not more accurate
+LIGHTEST = 0.1  # [kg]; the prior of a lighter body is the prior of a body with this mass
 FRICTION = 10.0  # standard deviation of friction, relative to the effort of the joint
 OFFSET = 0.3  # standard deviation of offsets, relative to the effort of the joint
-LOUD = 4.0  # times the median of the squares; louder segments have little weight
+LOUD = 4.0  # segments whose squares exceed this multiple of the median have little weight
 HEAVIEST = 10.0  # [kg], standard deviation of payloads
 STRENGTH = 0.02  # relative standard deviation of the magnitude of gravity
-UNEXPLAINED = 0.01  # fraction of the squares; links that leave less are accurate enough
-SMALL = 4e-4  # fraction of the squares, 2 % RMS; an explanation that leaves less needs no links
+UNEXPLAINED = 0.01  # fraction of the squares; if less remains, the links are accurate enough
+SMALL = 4e-4  # fraction of the squares (2 % RMS); if less remains, fitted links are not considered
 BETTER = 0.35
 """
-Largest ratio of the unexplained squares with fitted links to those without fitted links. This
-limit applies if the fitted links make none of the causes that were found before unnecessary.
+Largest ratio of the unexplained squares with fitted links to the unexplained squares without
+fitted links. The limit applies if all causes that were found before are still needed.
 """
-CHANGING = 2.0  # times the residual of a changing gravity, which can explain almost anything
-NEEDED = 10.0  # least increase of the evidence if a cause is added to wrong links
-CERTAIN = 5.0  # standard errors of a certain value
-ROTOR = 0.05  # fraction of a joint's RMS effort; smaller rotors are not reported
+CHANGING = 2.0  # links may leave this multiple of the squares that a changing gravity leaves
+NEEDED = 10.0  # least increase of the log evidence that justifies a cause beside wrong links
+CERTAIN = 5.0  # a value is certain if it exceeds this many standard errors
+ROTOR = 0.05  # fraction of a joint's RMS effort; rotors with less effort are not reported
 DELAY = 0.1  # [s], standard deviation of delays
 
 
 class Bodies(NamedTuple):
-    """Fitted links, with residuals in the half of the recording that was not used for the fit."""
+    """Fitted links, with residuals from two-fold cross-validation."""
 
     robot_fit: RobotFit
     """Explanation of the efforts that wrong links do not explain."""
@@ -76,8 +77,8 @@ class Bodies(NamedTuple):
     """Standard error of the delay [s]."""
     unexplained: float
     """
-    Unexplained fraction of the squares in the half that was not used for the fit. Segments of the
-    recording that fit badly have less weight.
+    Unexplained fraction of the squares in cross-validation. Segments of the recording with a bad
+    fit have less weight.
     """
     unexplained_anywhere: float
     """Like ``unexplained``, but all samples have the same weight."""
@@ -124,7 +125,7 @@ def fit_bodies(
     """
     Fit the inertial parameters of all links; return None if the samples are not sufficient.
 
-    `data` are the samples of the compared efforts, and `robot_fit` is the explanation so far.
+    `data` contains the samples of the compared efforts, and `robot_fit` is the explanation so far.
     """
     if data.is_too_short or data.is_at_rest:
         return None
@@ -135,9 +136,9 @@ def fit_bodies(
         and not robot_fit.is_scaled
         and not any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
     )
-    # Wrong links may look like a wrong sign, unit or order, but not the other way round.
+    # Wrong links may look like a wrong sign, unit or order. The reverse is not possible.
     starts = (robot_fit,) if is_plain else (plain, robot_fit)
-    # A driver compensates gravity with the real links, or with the links of the model.
+    # A driver may compensate gravity for the real links, or for the links of the model.
     found = [
         _Problem(compared, data, start, has_own_gravity).solve()
         for start in starts
@@ -150,8 +151,8 @@ class _Problem:
     """
     A linear regression with weighted rows.
 
-    The unknowns are the changes of all links; friction, rotor and offset of each joint; gravity;
-    payloads; and the delay of the efforts.
+    The unknowns are the changes of all link parameters; friction, rotor and offset of each joint;
+    gravity; payloads; and the delay of the efforts.
     """
 
     def __init__(
@@ -216,10 +217,10 @@ class _Problem:
 
     def _products(self, position: int) -> tuple[Integers, Integers, Floats]:
         """
-        Return the first row of each segment of a joint, the nonzero columns, and their products.
+        Return first rows of the segments of a joint, nonzero columns, and their Gram matrices.
 
-        The last column is the target. The products of the columns in each segment are computed
-        only once, because all samples of a segment have the same weight.
+        The last column is the target. The Gram matrix of each segment is computed only once,
+        because all samples of a segment have the same weight.
         """
         rows = np.flatnonzero(self.joint == position)
         first = np.unique(self.segment[rows], return_index=True)[1]
@@ -229,7 +230,7 @@ class _Problem:
         return rows[first], columns, np.array(products)
 
     def _prior(self, dynamics: InverseDynamics) -> Floats:
-        """Return the inverse of the covariance that is assumed for all unknowns before the fit."""
+        """Return the inverse of the prior covariance of all unknowns."""
         masses = np.maximum(dynamics.robot.mass[1:], LIGHTEST)
         size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
         deviation = np.full(self.delay + 1, DELAY)
@@ -332,7 +333,7 @@ class _Problem:
         return np.asarray(trust / variance[self.joint] / self.dependence)
 
     def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
-        """Return a model with a fitted cause; None if the cause is impossible or uncertain."""
+        """Return a model with a fitted cause, or None if the cause is impossible or uncertain."""
         data, solution, errors = self.data, fit.solution[cause], fit.errors[cause]
         if cause.start == self.gravity:
             gravity = data.gravity + solution
@@ -346,7 +347,7 @@ class _Problem:
         return data.loaded(k, self.base, np.array([mass, *com]), errors)
 
     def _bodies(self, fit: _Fit, weights: Floats, candidate: CandidateModel) -> Bodies:
-        """Return the fitted links, tested with samples that were not used for the fit."""
+        """Return the fitted links, with residuals from two-fold cross-validation."""
         data, before = self.data, self.robot_fit
         after = np.array([each.rms for each in before.fits])
         residual = np.zeros_like(self.target)
@@ -401,7 +402,7 @@ class _Fit(NamedTuple):
     errors: Floats
     """Standard errors of all unknowns; zero if an unknown was not fitted."""
     evidence: float
-    """Logarithm of the likelihood of the efforts, up to a constant."""
+    """Logarithm of the marginal likelihood of the efforts, up to a constant."""
 
 
 def _with(used: Booleans, *causes: slice) -> Booleans:

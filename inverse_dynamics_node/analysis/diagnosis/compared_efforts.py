@@ -25,8 +25,8 @@ from .joint_samples import CREDIBLE, JointSignals, sample_joints
 from .loads import loaded_links, PARAMETERS, point_mass_parameters
 from .regression_data import RegressionData, RobotFit
 
-SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
-INERTIAS = 50  # samples at which the effect of noisy accelerations is computed
+SAMPLES_PER_WINDOW = 8  # for fits; samples within one smoothing window are not independent
+INERTIAS = 50  # number of samples at which the effect of noisy accelerations is computed
 CONSTANT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
 ALL = slice(None)
 
@@ -37,9 +37,10 @@ class ComparedEfforts:
 
     The motion contains m of the n joints of the robot, and `index` holds their indices in
     ``robot.joint_names``. Joints that were not recorded are assumed to rest at zero. The dynamics
-    include all known loads; an unknown load may be on `link`, by default on the tips of the tree.
-    `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s]. The `convention`
-    says whether measured efforts contain gravity, and the modelled efforts follow the convention.
+    include all known loads. An unknown load may be on `link`, or on the tips of the tree if `link`
+    is None. `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s]. The
+    `convention` says whether measured efforts contain gravity, and the modelled efforts follow the
+    convention.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class ComparedEfforts:
         self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
         if not convention.in_measured:
             self.modelled = self.modelled - self.gravity
-        # Friction is fitted again, to efforts without the friction that the dynamics may have.
+        # Friction is fitted again, so these efforts exclude the friction of the dynamics.
         self.rigid: Floats = self.modelled - terms.friction[:, self.index]
         self.noise = self._noise()
         self.varying = self._varying()
@@ -82,12 +83,12 @@ class ComparedEfforts:
 
     @property
     def fit_samples(self) -> slice:
-        """Samples that are used for fits."""
+        """Slice that selects the samples for fits."""
         return slice(None, None, max(1, self.motion.window // SAMPLES_PER_WINDOW))
 
     @property
     def fit_states(self) -> tuple[Floats, Floats, Floats]:
-        """Positions, velocities and accelerations of the samples that are used for fits."""
+        """Positions, velocities and accelerations of the samples for fits."""
         q, qd, qdd = self.states
         return q[self.fit_samples], qd[self.fit_samples], qdd[self.fit_samples]
 
@@ -104,12 +105,12 @@ class ComparedEfforts:
         return ComparedEfforts(self.dynamics, motion, *self._arguments)
 
     def distorted(self, efforts: Floats, signs: Floats, delay: float) -> Floats:
-        """Return efforts of shape (K, c) with reversed axes and with a delay [s]."""
+        """Return efforts, shape (K, c), with reversed axes and a delay [s]."""
         return signs[self.compared] * _later(self.motion, efforts, -delay)
 
     def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
         """
-        Return the comparison after a change of the inertial parameters of b links, shape (10 b,).
+        Return the comparison with a change of inertial parameters of b links, shape (10 b,).
 
         `has_own_gravity` says whether the change also affects gravity in the measured efforts.
         """
@@ -127,7 +128,7 @@ class ComparedEfforts:
         return other
 
     def rates(self, robot_fit: RobotFit) -> Floats:
-        """Return the time derivatives of all explained efforts that vary [N m/s or N/s]."""
+        """Return the time derivatives of the varying explained efforts [N m/s or N/s]."""
         efforts = corrected_efforts(self, robot_fit)[1][:, self.varying]
         columns = self.qd[:, self.varying], self.direction[:, self.varying]
         for j, fit in enumerate(robot_fit.fits):
@@ -157,7 +158,7 @@ class ComparedEfforts:
         return bool(self.robot.is_prismatic_joint[self.index[c]])
 
     def regression_data(self) -> RegressionData:
-        """Return samples of joints with varying efforts, and columns for explanations."""
+        """Return the samples of all joints with varying efforts, including regression columns."""
         some, varying = self.fit_samples, self.varying
         signals = JointSignals(
             [self.index[c] for c in varying],
@@ -199,7 +200,7 @@ class ComparedEfforts:
 
     def _varying(self) -> list[int]:
         """Return the columns in which the measured effort varies by more than rounding errors."""
-        # Compare with all joints: the effort of a joint without load is only rounding errors.
+        # Compare with the largest effort: an unloaded joint may have only rounding errors.
         largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
         variation = np.ptp(self.measured, axis=0)
         return [c for c in range(len(self.names)) if variation[c] > CONSTANT * largest]
@@ -221,7 +222,7 @@ def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> B
 
 
 def _later(motion: Motion, efforts: Floats, delay: float) -> Floats:
-    """Return the efforts at times that are later by a delay [s]."""
+    """Interpolate the efforts at the sample times plus a delay [s]."""
     if not delay:
         return efforts
     parts = []
@@ -311,7 +312,7 @@ def fit_joints(
 
 
 def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
-    """Return why the friction of some joints is unknown although they moved enough."""
+    """Return, by joint, the reason why measured efforts do not reveal the friction."""
     reasons = dict.fromkeys(compared.constant, 'the effort of this joint was not measured')
     is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
     for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
@@ -325,7 +326,7 @@ def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit a shape to each known friction, given the loads on the gears, shape (K, c)."""
+    """Fit width and load friction where friction is known; gear loads have the shape (K, c)."""
     return [
         fit_shape(
             fit,

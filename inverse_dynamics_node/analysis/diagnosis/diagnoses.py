@@ -24,11 +24,11 @@ from .joint_samples import CREDIBLE, JointFit, NO_FAULT, PARAMETER_COST
 from .loads import MAX_COM_ERROR
 from .regression_data import RegressionData, RobotFit
 
-CHANGED = 0.9  # a fault affects a joint if the RMS residual falls below this fraction
-MOST_UNEXPLAINED = 0.5  # fraction of the squares; if more remains, the model explains nothing
-FAR = 2.0 * np.pi  # [rad] outside the limits; more than one additional turn of a joint
+CHANGED = 0.9  # a fault affects a joint if correction leaves a smaller fraction of the residual
+MOST_UNEXPLAINED = 0.5  # fraction of the squares; more is reported even if all joints were at rest
+FAR = 2.0 * np.pi  # [rad], one turn; positions farther outside the limits have a wrong unit
 NOT_EXPLAINED = 9.0  # times the floor; if less remains at each joint, no axis is reversed
-LARGE = 0.05  # a larger fraction of the squares is not explained, whatever the floor
+LARGE = 0.05  # fraction of the squares; more is not explained, unless below the floor
 AXIS_PARAMETERS = 2  # a reversed axis has the weight of two parameters, because it is rare
 
 
@@ -48,7 +48,7 @@ def search_axes(
     data: RegressionData, with_signs: Callable[[Floats], RegressionData | None]
 ) -> Axes:
     """
-    Explain efforts; reverse axes if this improves the explanation.
+    Explain the efforts, with reversed axes where reversal improves the explanation.
 
     `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
     """
@@ -114,7 +114,7 @@ def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) 
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
-    """Return the fault that describes reversed axes; `data` contains the samples as recorded."""
+    """Return a fault if axes are reversed; `data` contains the samples as recorded."""
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
@@ -142,7 +142,7 @@ def _changes(
 
 
 def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> list[Fault]:
-    """Return a fault if positions are so far outside the limits that their unit is wrong."""
+    """Return a fault if positions are so far outside the limits that their unit must be wrong."""
     far = [
         each
         for each in implausible_positions(robot, q, names)
@@ -156,7 +156,7 @@ def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> 
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
-    """Return a fault for joints with constant measured efforts; `values` are these efforts."""
+    """Return a fault for joints with the given constant measured efforts."""
     if not values:
         return []
     return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]
@@ -205,7 +205,7 @@ class _Faults:
         return self.data.refit(self.robot_fit, candidate=base)
 
     def other_gravity(self) -> Fault | None:
-        """Return the fault of measured efforts that unexpectedly lack or contain gravity."""
+        """Return a fault if the measured efforts unexpectedly lack or contain gravity."""
         candidate, other = self.robot_fit.candidate, self.data.other_gravity()
         if other.kind is None or not self.data.contradicts(candidate):
             return None
@@ -283,7 +283,7 @@ class _Faults:
             for j, fit in enumerate(self.fits)
             if fit.remaining > max(CREDIBLE, self.data.floor(self.robot_fit, j))
         ]
-        # The effort of a joint at rest also contains an unknown dry friction.
+        # The effort of a joint at rest also contains unknown dry friction.
         found = [(j, fit) for j, fit in left if fit.moves]
         if not found and self.data.unexplained(self.robot_fit) > MOST_UNEXPLAINED:
             found = left

@@ -31,7 +31,7 @@ class FaultKind(enum.Enum):
     GRAVITY_COMPENSATED = 'gravity_compensated'
     """The measured efforts lack gravity."""
     GRAVITY_MEASURED = 'gravity_measured'
-    """The measured efforts contain gravity, although the driver should leave gravity out."""
+    """The measured efforts contain gravity, although the driver should exclude gravity."""
     MOUNTING = 'mounting'
     """Gravity has another direction than in the model."""
     PAYLOAD = 'payload'
@@ -72,9 +72,9 @@ class Fault(NamedTuple):
     """Joints with the fault; empty if the fault concerns the whole robot."""
     values: tuple[float, ...] = ()
     """
-    For a fault of joints: a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint.
-    For a payload: mass [kg] and centre of mass [m]; unknown coordinates are NaN. For a mounting:
-    gravity in the frame of the base link [m/s^2]. For a delay: one time [s].
+    For a fault of joints: a factor, a rotor inertia [kg m^2 or kg] or an effort [N m or N] of each
+    joint. For a payload: mass [kg] and centre of mass [m]; unknown coordinates are NaN. For a
+    mounting: gravity in the frame of the base link [m/s^2]. For a delay: one time [s].
     """
     changes: tuple[Change, ...] = ()
     """Joints whose residuals the correction reduces; the largest reduction comes first."""
@@ -85,17 +85,17 @@ class Fault(NamedTuple):
     link: str = ''
     """Link that carries the payload."""
     sources: tuple[str, ...] = ()
-    """If the order is wrong, names under which the efforts of ``joints`` were recorded."""
+    """Names under which the efforts of ``joints`` were recorded, if the order is wrong."""
     unknown: tuple[str, ...] = ()
-    """Joints whose unit is unknown because friction dominates."""
+    """Joints whose unit of effort is unknown because friction dominates."""
     is_every_joint: bool = False
-    """Whether all joints have the fault, except joints that show only friction."""
+    """Whether all joints have the fault; joints that show only friction are ignored."""
     is_motor_side: bool = False
     """Whether the efforts contain the friction of the gears, as motor currents do."""
     is_commanded: bool = True
     """Whether commanded efforts contain gravity."""
     interval: tuple[float, float] | None = None
-    """Start and end of a temporary fault [s]; None if the fault lasts all the time."""
+    """Start and end of a temporary fault [s]; None for a permanent fault."""
 
     @property
     def is_same_factor(self) -> bool:

@@ -1,9 +1,9 @@
 """
 Fits damping, Coulomb friction and an offset to the residual efforts of one joint.
 
-Near zero speed, dry friction can have any value up to its maximum: such samples are not used. A
-wider step of Coulomb friction, or friction that grows with the load, is accepted only if it
-explains far more than a narrow step that does not depend on the load.
+Near zero speed, dry friction can have any value up to its maximum. Therefore, samples near zero
+speed are not used. A wider step of Coulomb friction, or friction that grows with the load, is
+accepted only if the squared residual becomes clearly smaller.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, friction_columns
 
-SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
+SURELY_MOVING = 3.0  # times the smoothing width; tanh(3) is 99.5 % of the final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
-SPREAD = 1.5  # largest over smallest speed, to distinguish damping from Coulomb friction
+SPREAD = 1.5  # ratio of largest to smallest speed, to distinguish damping from Coulomb friction
 WIDTHS = (0.02, 0.03, 0.05, 0.08, 0.12)  # [rad/s or m/s]
 BETTER = 0.85  # another width, or load friction, leaves at most this fraction of the squares
 MOST_LOAD = 0.5  # larger ratios of friction to load have another cause
-BLOCKS = 12  # standard errors follow from the differences between these blocks of the recording
+BLOCKS = 12  # blocks of a recording; the differences between blocks show the standard errors
 
 
 class FrictionFit(NamedTuple):
-    """Friction of one joint: ``damping * qd + coulomb * tanh(qd / width)``, and an offset."""
+    """Friction and offset of a joint: ``damping * qd + coulomb * tanh(qd / width) + offset``."""
 
     damping: float
     """Damping [N m s/rad or N s/m]; 0 if unknown."""
@@ -40,7 +40,7 @@ class FrictionFit(NamedTuple):
     coulomb_error: float
     offset_error: float
     unknown_because: str
-    """Why the friction of this joint cannot be identified; empty if it was fitted."""
+    """Why the friction of this joint cannot be identified; empty if friction was fitted."""
     width: float = math.nan
     """Fitted speed over which Coulomb friction is smoothed [rad/s or m/s]; NaN if not fitted."""
     load_friction: float = 0.0
@@ -62,7 +62,7 @@ class FrictionFit(NamedTuple):
 
 
 def is_moving(qd: Floats, width: float) -> Booleans:
-    """Return the samples in which a joint moves fast enough for full dry friction."""
+    """Return a mask of the samples in which a joint moves fast enough for full dry friction."""
     return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
@@ -78,7 +78,7 @@ def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
     if min(forth, back) < least:
         return (
-            f'this joint moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
+            f'this joint moved forward for {forth:.2g} s and back for {back:.2g} s; expected '
             f'at least {least:g} s in each direction'
         )
     return ''
@@ -110,8 +110,8 @@ def fit_friction(
     """
     Fit friction and an offset to the efforts that the model does not explain.
 
-    The direction is ``tanh(qd / width)``, smoothed over a window [samples] like the measured
-    efforts. Neither damping nor Coulomb friction is negative.
+    The direction is ``tanh(qd / width)``, smoothed in the same way as the measured efforts, over a
+    window [samples]. Neither damping nor Coulomb friction is negative.
     """
     reason = obstacle(qd, period, width)
     if reason:
@@ -137,20 +137,21 @@ def fit_shape(
     window: int,
 ) -> FrictionFit:
     """
-    Fit the width of the step and the friction per load to all K samples of a joint.
+    Fit the smoothing width and the load friction to all K samples of a joint.
 
-    The given fit has the common `width` [rad/s or m/s]. This fit is returned unless another shape
-    explains far more. The residual, shape (K,), is the measured effort minus the modelled effort
-    without friction [N m or N]. The load, shape (K,), is the magnitude of the modelled effort
-    without friction and rotor [N m or N]. `smooth` smooths columns of shape (K, c) like the
-    measured efforts, over a `window` [samples].
+    `fit` has the smoothing width `width` [rad/s or m/s], and is returned unless another width or
+    load friction clearly reduces the squared residual. `residual`, shape (K,), is the measured
+    effort minus the modelled effort without friction [N m or N]. `load`, shape (K,), is the
+    magnitude of the modelled effort without friction and rotor [N m or N]. `smooth` applies the
+    smoothing of the measured efforts to columns, shape (K, c). `window` is the length of the
+    smoothing window [samples].
     """
     if fit.unknown_because:
         return fit
     columns = {
         each: friction_columns(qd, each, load, smooth) for each in dict.fromkeys((width, *WIDTHS))
     }
-    # A few rows lead to the same least-squares fits as all samples.
+    # The triangular factors lead to the same least-squares fits as all samples.
     triangles = {
         each: np.asarray(np.linalg.qr(np.column_stack([of, residual]), mode='r'))
         for each, of in columns.items()
@@ -173,7 +174,7 @@ def fit_shape(
 def _with_load(
     triangle: Floats, has_load: bool
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squared residual, and a fit: damping, Coulomb and load friction, offset."""
+    """Return the squared residual, and damping, Coulomb friction, load friction and offset."""
     columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
     factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
     damping, coulomb, per_load, offset = factors.tolist()
@@ -186,8 +187,8 @@ def standard_errors(
     """
     Estimate standard errors from the differences between blocks of the recording.
 
-    Neither smoothed samples nor model errors are independent. The formula for independent samples
-    would give far too small standard errors.
+    Neither smoothed samples nor model errors are independent. With the formula for independent
+    samples, the standard errors would be far too small.
     """
     blocks = int(min(BLOCKS, max(2, len(moving) // (2 * window))))
     block = (np.flatnonzero(moving) * blocks) // len(moving)
@@ -210,8 +211,9 @@ def friction_parameters(
     Return the YAML text of node parameters with the fitted friction.
 
     Where the friction of a joint is unknown, the node uses the friction in the URDF. `width` is
-    the speed over which Coulomb friction is smoothed [rad/s or m/s], if no width was fitted.
-    `armature` contains the rotor inertia of each joint [kg m^2, kg]; empty if none was found.
+    the speed over which Coulomb friction is smoothed where no width was fitted [rad/s or m/s].
+    `armature` contains the rotor inertia of each joint [kg m^2 or kg], and is empty if none was
+    found.
     """
     values: dict[str, float | Sequence[float]] = {
         'damping': [-1.0 if fit.unknown_because else fit.damping for fit in fits],

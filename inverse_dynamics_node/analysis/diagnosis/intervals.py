@@ -1,9 +1,9 @@
 """
-Finds causes that act only during an interval of a recording: a load, a push, a tilting base.
+Finds causes that act only during an interval of a recording: a load, a push or a tilting base.
 
-Outside the interval, the model is right: friction, rotor inertias and offsets are fitted to the
-samples outside. Inside the interval, a payload explains the residual, or else an external force.
-A tilting base is found with a fit of gravity at several times.
+Outside the interval, only friction, rotor inertias and offsets are fitted, and the model must be
+right. Inside the interval, a payload or else an external force explains the residual. A tilting
+base is found by a fit of gravity at several times.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from .joint_samples import (
 )
 from .regression_data import MIN_TILT, RegressionData, RobotFit
 
-SEGMENTS = 40  # of equal length; an interval starts and ends at the edges of segments
-LONGEST = 0.9  # fraction of the recording; friction is identified outside
+SEGMENTS = 40  # segments of equal length; an interval starts and ends at edges of segments
+LONGEST = 0.9  # longest interval, as a fraction of the recording; the rest reveals friction
 EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside the interval
-REFINEMENTS = 3  # of the start and end of a load
-LONGEST_FORCE = 0.5  # fraction of the recording
+REFINEMENTS = 3  # number of refinements of the start and end of a load
+LONGEST_FORCE = 0.5  # longest external force, as a fraction of the recording
 LOUDER = 9.0  # least ratio of the mean squares inside and outside an interval
 LOUDER_LOAD = 3.0  # largest ratio of the mean squares inside and outside, with a fitted load
 MUCH_LOUDER = 25.0  # least ratio for an external force, which may vary arbitrarily over time
 IMPROVES = 0.3  # a cause leaves at most this fraction of the unexplained squares
-NOT_EXPLAINED = 9.0  # times the floor; if all joints have less, no interval is searched for
-NOT_EXPLAINED_BY_CANDIDATE = 1.5  # times the floor, if a candidate has changed the model already
-AS_GOOD = 0.002  # unexplained fraction of the squares that a tilt may leave in any case
+NOT_EXPLAINED = 9.0  # times the floor; if less remains at each joint, no interval is searched for
+NOT_EXPLAINED_BY_CANDIDATE = 1.5  # the same if a candidate has changed the model
+AS_GOOD = 0.002  # fraction of the squares that an explanation may leave in any case
 MIN_DURATION = 6.0  # [s]; no interval is searched for in shorter recordings
 
-KNOT_DISTANCE = 0.75  # [s] between the times at which a changing gravity is fitted
+KNOT_DISTANCE = 0.75  # [s] between the times (knots) at which a changing gravity is fitted
 MOST_KNOTS = 40
 MOST_ROWS = 800  # samples of each joint that are used for a changing gravity
-GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of gravity at a knot
-GRAVITY_STEP = 2.0  # [m/s^2], standard deviation of its change between knots
+GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of gravity at a knot from the model
+GRAVITY_STEP = 2.0  # [m/s^2], standard deviation of the change of gravity between knots
 STRENGTH = 0.25  # largest relative change of the magnitude of gravity
 
 
@@ -85,7 +85,7 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
 
     Return None unless this cause explains far more than the best explanation of all samples.
     """
-    # Even if a load or a tilt is temporary, a candidate model for all samples explains a little.
+    # A candidate model for all samples explains a little of a temporary load or tilt.
     is_nominal = robot_fit.candidate.kind is None
     floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
     if data.duration < MIN_DURATION or not data.is_open(robot_fit, floors):
@@ -126,7 +126,8 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
     if not total or not possible.any():
         return None
     loudest_part = np.flatnonzero(possible)[np.argmin(cost[possible])]
-    # If a cause acts most of the time, its interval is not louder, but all else is explained.
+    # If a cause acts most of the time, the residual inside does not stand out. Then choose the
+    # shortest interval with explained samples outside.
     explained = left < 2.0 * float(left.min()) + AS_GOOD * total
     shortest = np.flatnonzero(explained)[np.argmin((last - first)[explained])]
     intervals = [(float(edges[first[k]]), float(edges[last[k]])) for k in (loudest_part, shortest)]
@@ -141,7 +142,7 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
 def _mean_squares(
     data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mean squares inside and outside each interval, and numbers of samples inside."""
+    """Return mean squared residuals inside and outside each interval, and sample counts inside."""
     columns = data.joints[j].columns
     target = columns[:, data.first_measured + j] - columns[:, MODEL]
     features = np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
@@ -189,7 +190,7 @@ def _load(
 
 
 def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
-    """Return the interval in which efforts are explained better with the load than without it."""
+    """Return the interval in which the load improves the explanation of the efforts."""
     times = np.unique(np.concatenate([samples.times for samples in data.joints]))
     gain = np.zeros(len(times))
     weights = fault.outside.candidate.weights
@@ -208,12 +209,12 @@ def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
 def _force(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return the interval of an external force; None if there is no clear push."""
+    """Return the interval of an external force; None if no push is clear."""
     unexplained = data.unexplained(robot_fit)
     outside = data.restricted(interval, is_inside=False)
     if outside.is_too_short or interval[1] - interval[0] > LONGEST_FORCE * data.duration:
         return None
-    # Try the model with friction, then also with rotors and offsets of the whole recording.
+    # Try friction alone, and then also rotors and offsets that the whole recording revealed.
     found = outside.friction_only()
     is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
     if robot_fit.candidate.kind is None and not is_unit:
@@ -265,7 +266,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
     """
     Return the interval with the largest sum of gains, or `start` if no sample has a gain.
 
-    The gain of a sample says how much better the sample is explained inside the interval.
+    The gain of a sample is the benefit of including the sample in the interval.
     """
     sums = np.concatenate([[0.0], np.cumsum(gain)])
     lowest = np.minimum.accumulate(sums[:-1])
@@ -280,7 +281,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
 
 
 def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
-    """Fit gravity at several times, with constant friction; return None if no tilt is clear."""
+    """Fit gravity at several times; return None unless the base clearly tilts."""
     strength = float(np.linalg.norm(data.gravity))
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if strength == 0.0 or not (data.has_gravity and moving):
@@ -365,7 +366,7 @@ def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tupl
 def changing_gravity_efforts(
     fault: FaultInterval, robot: RobotModel, q: Floats, times: Floats
 ) -> Floats:
-    """Return the efforts of gravity, which is interpolated between knots, shape (K, n)."""
+    """Return gravity efforts, shape (K, n), with gravity interpolated between the knots."""
     if fault.knots is None or fault.gravity is None:
         return np.zeros_like(q)
     knots, gravity = fault.knots, fault.gravity

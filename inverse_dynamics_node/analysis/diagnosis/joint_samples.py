@@ -20,7 +20,7 @@ from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, gravity_columns, payload_columns
 
 PARAMETER_COST = math.log(2.0)
-"""A parameter is accepted only if the parameter halves the sum of squared residuals."""
+"""Cost of a parameter; to be accepted, a parameter must halve the sum of squared residuals."""
 FLOOR = 0.03  # accuracy of models, as a fraction of a joint's RMS effort
 NOISE_FLOOR = 2.0  # an RMS residual below this multiple of the noise is explained
 SAME_SCALE = (0.8, 1.25)  # factors in this range are model errors, not another unit
@@ -28,11 +28,11 @@ CREDIBLE = 0.3  # an explanation leaves at most this fraction of the squared eff
 FRICTION_ONLY = 0.01  # tolerance for a fit of friction alone, as a fraction of the squared effort
 MIN_OFFSET = 0.05  # least offset, as a fraction of a joint's RMS effort
 FRICTION = 0.03  # considerable Coulomb friction, as a fraction of a joint's RMS effort
-MIN_VARIATION = 0.1  # a factor is fitted if a modelled effort varies by more, relative to its RMS
+MIN_VARIATION = 0.1  # least variation, relative to the RMS, of a modelled effort to fit a factor
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
 """
-Columns of joint samples. The first nine are: modelled effort; effort of gravity; efforts of a
-gravity of 1 m/s^2 along x, along y and along z; acceleration; velocity; direction of motion; ones.
+Columns of joint samples. The first nine are: modelled effort; effort of gravity; efforts that
+gravity of 1 m/s^2 along x, y and z would cause; acceleration; velocity; direction of motion; ones.
 The next columns are efforts of loads. The last columns are the measured efforts of all joints.
 """
 
@@ -90,7 +90,7 @@ class JointFit(NamedTuple):
 
 @dataclass
 class JointSamples:
-    """Samples of one joint, reduced to the scalar products of all columns."""
+    """Samples of one joint, reduced to the triangular factor of a QR decomposition."""
 
     columns: Floats
     """One row for each of K samples, and p columns: shape (K, p)."""
@@ -194,11 +194,12 @@ class JointSamples:
     def _possible_faults(
         self, weights: Floats, measured: int, unit: float
     ) -> Iterator[tuple[SensorFault, float]]:
-        """Yield possible sensor faults, each with the least fraction it can leave unexplained."""
+        """Yield possible sensor faults, each with a lower bound of the unexplained fraction."""
         has_scale = unit == 1.0 and self.shows_scale
         for is_swapped in (False, True):
             every = SensorFault(is_swapped, has_scale, self.moves, self.moves)
-            # Fits take most of the time. A fit with fewer parameters cannot leave less.
+            # Fits take most of the time, and this bound avoids many of them: a fit with fewer
+            # parameters cannot leave less.
             least = self.fit(weights, measured, every, unit).remaining
             if least < CREDIBLE:
                 for sensor_fault in SENSOR_FAULTS[1:]:
@@ -209,7 +210,7 @@ class JointSamples:
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
         """Return whether friction alone explains as much as a fit with this sign and scale."""
         sensor_fault = fit.sensor_fault
-        # Friction that accelerates the joint shows a swapped sign, even without the model.
+        # Apparent friction that accelerates the joint reveals a swapped sign without the model.
         if sensor_fault.is_swapped and self._needs_no_model(
             measured, sensor_fault._replace(is_swapped=False, is_scaled=False), fit.remaining
         ):
@@ -225,7 +226,7 @@ class JointSamples:
         remaining: float,
         tolerance: float = FLOOR**2,
     ) -> bool:
-        """Return whether a fit without the model leaves not much more than `remaining`."""
+        """Return whether a fit without the model leaves little more than `remaining`."""
         without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance
 
@@ -238,7 +239,7 @@ class JointSignals(NamedTuple):
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
-    """Modelled efforts without the friction that is fitted, shape (K, c) [N m or N]."""
+    """Modelled efforts before friction is fitted, shape (K, c) [N m or N]."""
     gravity: Floats
     """Modelled efforts of gravity, shape (K, c) [N m or N]."""
     direction: Floats

@@ -1,9 +1,10 @@
 """
 Compares measured and modelled efforts of the last seconds, for `watch`.
 
-The search for faults is the same as for recordings, but omits delays and several wrong links: in a
-few seconds of filtered samples, these faults cannot be distinguished from friction. The arm may be
-at rest. The modelled efforts come from the running node, including payloads and friction.
+The search for faults is the same as for recordings, but considers neither delays nor several wrong
+links: in a few seconds of filtered samples, these faults cannot be distinguished from friction.
+The arm may be at rest. The modelled efforts come from the running node, and include payloads and
+friction.
 """
 
 from __future__ import annotations
@@ -34,20 +35,20 @@ from .joint_samples import JointSignals, NOISE_FLOOR, sample_joints
 from .loads import loaded_links
 from .regression_data import RegressionData, RobotFit
 
-DURATION = 10.0  # [s] of the window
+DURATION = 10.0  # [s], length of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
-LEAST_MOVING = 0.1  # fraction of the samples in each direction; 1 s of 10 s, as in recordings
+LEAST_MOVING = 0.1  # least fraction of samples that move in each direction; 1 s of 10 s
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
-AGREEMENT = 0.3  # model and robot agree up to this RMS residual, as a fraction of the effort
-SUSPICIOUS = 0.15  # grave faults are searched for above this fraction
+AGREEMENT = 0.3  # largest RMS residual of a good model, as a fraction of the effort
+SUSPICIOUS = 0.15  # above this fraction of the effort, grave faults are searched for
 FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
 """
 Residuals are ignored below these fractions of the joint's limit and of the largest modelled
 effort. The smaller value applies, because effort limits in URDFs are often placeholders.
 """
 LEAST_FLOOR = 0.005  # accuracy of effort sensors, as a fraction of the limit
-REST_FACTOR = 2.5  # a joint at rest may be held by dry friction of any size up to breakaway
+REST_FACTOR = 2.5  # times the floor, for joints at rest, because dry friction may hold them
 FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
 MOST_STATES = 60
@@ -76,7 +77,7 @@ GRAVE = (
 )
 """
 Faults that are reported even if residuals are small or joint states arrive slowly. Other faults
-are harmless if residuals are below `AGREEMENT`. Slow joint states may look like a fault that is
+are harmless if residuals are below `AGREEMENT`. Slow joint states can imitate a fault that is
 not in this list.
 """
 
@@ -114,7 +115,7 @@ class Obstacle(enum.Enum):
 
 @dataclass(frozen=True)
 class Size:
-    """RMS efforts over the window, for all compared joints of one kind [N m or N]."""
+    """RMS efforts of all compared revolute joints or prismatic joints [N m or N]."""
 
     residual: float
     """RMS of measured minus modelled efforts."""
@@ -189,7 +190,7 @@ class LiveWindow:
         self._measured: tuple[Any, ...] = ()
 
     def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
-        """Add a sample, which must not be older than the last one, and drop outdated samples."""
+        """Add a sample that is not older than the last sample, and drop outdated samples."""
         self._times.append(time)
         self._rows.append(np.array([q, qd, measured, modelled]))
         while self._times[0] < time - self.duration:
@@ -197,7 +198,7 @@ class LiveWindow:
             self._rows.popleft()
 
     def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if `measured`, the content of the measured efforts, has changed."""
+        """Drop all samples if the given properties of measured efforts have changed."""
         if measured != self._measured:
             self._measured = measured
             self._times.clear()
@@ -229,7 +230,7 @@ def diagnose_samples(
     """
     limits = robot.effort_limits if limits is None else limits
     is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
-    # At first, efforts are unknown until all topics are connected and the filters have settled.
+    # Efforts are unknown until all topics are connected and the filters have settled.
     known_rows = is_known.any(axis=1).sum()
     columns = np.flatnonzero(2 * is_known.sum(axis=0) > known_rows).tolist()
     if len(samples.times) >= MIN_SAMPLES and not np.isfinite(samples.measured).any():
@@ -267,7 +268,7 @@ class _Comparison:
         self.floor = self._floor()
         self.is_checked = rms(self.modelled) > self.floor
         self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
-        # A zero effort agrees if the model is zero too; such a joint needs no explanation.
+        # A measured effort of zero needs no explanation if the modelled effort is small too.
         self.searched = np.flatnonzero(self.measured.any(axis=0) & ~self.silent)
 
     def agreement(self) -> Agreement:
@@ -323,7 +324,7 @@ class _Comparison:
         """Return the residuals up to which differences are ignored, shape (c,) [N m or N]."""
         modelled, largest = rms(self.modelled), np.zeros(len(self.names))
         if not self.convention.in_measured:
-            # The driver removes gravity only as accurately as its own model of gravity.
+            # If the driver removes gravity, errors in its model of gravity remain.
             gravity = self.dynamics.gravity_efforts(np.nan_to_num(self.whole.q[self.some]))
             modelled = np.maximum(modelled, rms(gravity[:, self.index]))
         for kind in (False, True):
@@ -372,7 +373,7 @@ class _Comparison:
         )
         links = loaded_links(robot, q)
         joints = sample_joints(self.dynamics, times[some], states, signals, links)
-        # The node may have a payload, which can be heavier than the body that carries it.
+        # A payload in the node can be heavier than the link that carries the payload.
         heaviest = float(np.sum(robot.mass))
         return RegressionData(
             joints,
@@ -439,8 +440,8 @@ class _Comparison:
 
 
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
-OF_GIVEN_RATE = 0.8  # states below this fraction of the rate that the user gave are slow
-OF_UPDATE_RATE = 0.5  # fraction of update_rate; many drivers are slower than the control loop
+OF_GIVEN_RATE = 0.8  # least fraction of the rate that the user gave
+OF_UPDATE_RATE = 0.5  # least fraction of update_rate; many drivers are slower than control loops
 
 LEAST_CHECKED = 0.25
 """
@@ -493,7 +494,8 @@ def check_agreement(
 
     `reason` says why the node does not compute efforts; empty if the node computes them. The
     samples are None if the robot is unknown. `saturated` are the commanded joints with efforts
-    that were cut to the limits in the last seconds. For other arguments see `diagnose_samples`.
+    that were cut to the limits in the last seconds. `diagnose_samples` describes the other
+    arguments.
     """
     if reason:
         return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
@@ -524,7 +526,7 @@ def check_agreement(
 
 
 def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSamples:
-    """Leave out constant efforts of joints that the node does not command, such as a gripper."""
+    """Leave out constant efforts of joints, such as a gripper, that are not commanded."""
     is_commanded = np.isin(samples.joint_names, commanded) if commanded else True
     is_constant = (samples.measured == samples.measured[:1]).all(axis=0)
     measured = np.where(is_constant & ~np.array(is_commanded), np.nan, samples.measured)
@@ -534,7 +536,7 @@ def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSam
 def _completed(
     agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
 ) -> Agreement:
-    """Add unmeasured and saturated joints; if too few were checked, change the outcome."""
+    """Add unmeasured and saturated joints; change the outcome if too few joints were checked."""
     compared = (*agreement.checked, *agreement.unchecked)
     agreement = replace(agreement, saturated=tuple(saturated))
     if not compared:

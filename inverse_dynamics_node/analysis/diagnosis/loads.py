@@ -12,25 +12,25 @@ import numpy as np
 from ...robot.kinematics import path_to
 from ...robot.model import Booleans, Floats, RobotModel
 
-PARAMETERS = 10  # one of m, three of m c, six of m c c^T
+PARAMETERS = 10  # one for m, three for m c, six for m c c^T
 MOST_LINKS = 6  # links to try if no link is given
 MOVED = 0.02  # [rad or m]; a joint that moved less does not reveal a load
 MAX_REACH = 0.5  # [m], largest distance from the link to the centre of mass of a payload
-USUAL_REACH = 0.2  # [m], typical coordinate; matters if the coordinate has hardly any effect
+USUAL_REACH = 0.2  # [m], typical coordinate, for coordinates with hardly any effect
 MAX_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is reported as unknown
 
 
 def tip_links(robot: RobotModel) -> tuple[str, ...]:
     """Return one link of each body that may carry a load: branching bodies first, then tips."""
     children = np.bincount(robot.parent[1:], minlength=len(robot.parent))
-    # A load on the palm of a hand does not act on the joints of its fingers.
+    # A load on the palm of a hand does not act on the finger joints.
     bodies = [body for body in range(1, len(children)) if children[body] != 1]
     bodies.sort(key=lambda body: (children[body] == 0, -len(path_to(robot, body))))
     links = []
     for body in bodies[:MOST_LINKS]:
         on_body = np.flatnonzero(robot.link_body == body)
         reach = np.linalg.norm(robot.link_position[on_body], axis=1)
-        # The last of the outermost links: a tool frame is listed after the link that carries it.
+        # Choose the last of the outermost links: a tool frame is listed after its parent link.
         furthest = on_body[reach >= np.max(reach) - 1e-9][-1]
         links.append(robot.link_names[int(furthest)])
     return tuple(links)
@@ -63,8 +63,9 @@ def fit_payload(
     """
     Fit a point mass to efforts of equal variance, given ten regressor columns.
 
-    Return an array of mass [kg] and centre of mass [m], shape (4,), and an array of their standard
-    errors. The number of independent samples may be smaller than the number of rows.
+    Return mass [kg] and centre of mass [m] as one array, shape (4,), and the standard errors as
+    another array. `sample_count` is the number of independent samples, which may be smaller than
+    the number of rows.
     """
     from scipy.optimize import least_squares
 

@@ -45,7 +45,7 @@ from .regression_data import RegressionData, RobotFit
 REVERSED = 0.7  # with fitted links, reversed axes leave at most this fraction of the squares
 MIN_DELAY, MAX_DELAY = 0.01, 0.3  # [s]; delays between these limits are reported
 SMALL_STEP = 0.001  # [s]; the search for a delay ends at a smaller change
-DELAY_ROUNDS = 5  # linear estimates of a delay
+DELAY_ROUNDS = 5  # largest number of linear estimates of a delay
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,10 @@ class ComparisonResult:
     is_too_short: bool
     """Whether there are too few samples to diagnose a difference."""
     moving: tuple[int, ...]
-    """Indices of moving joints in ``joints``. If none moved, all joints with varying effort."""
+    """
+    Indices of moving joints in ``joints``. If no joint moved, the indices of all joints with
+    varying effort.
+    """
 
     @property
     def explained(self) -> float:
@@ -141,20 +144,20 @@ def diagnose_recording(
     convention: GravityConvention = WITH_GRAVITY,
 ) -> ComparisonResult:
     """
-    Compare a recording of any joints, in any order, with the model of their robot.
+    Compare a recording of any joints of a robot, in any order, with the robot model.
 
-    The dynamics include all known loads; an unknown load may be on `link`, by default on the tips
-    of the tree. Joints that were not recorded are assumed to rest at zero. `width` is the speed
-    over which Coulomb friction is smoothed [rad/s or m/s]. By default, the width of each joint is
-    fitted if the recording reveals it. The `convention` says whether measured efforts should
-    contain gravity.
+    The dynamics include all known loads. An unknown load may be on `link`, or on the tips of the
+    tree if `link` is None. Joints that were not recorded are assumed to rest at zero. `width` is
+    the speed over which Coulomb friction is smoothed [rad/s or m/s]. If `width` is None, the
+    smoothing speed of each joint is fitted if the recording reveals it. The `convention` says
+    whether measured efforts should contain gravity.
 
     Raise RecordingError if the robot lacks a recorded joint or the recording is not usable, and
     ConfigurationError if the link does not exist.
     """
     robot = dynamics.robot
     if link is not None:
-        robot.link_index(link)  # raises if it does not exist
+        robot.link_index(link)  # raises if the link does not exist
     index = _indices(recording.joint_names, robot)
     motion = derive(without_turns(robot, recording))
     common_width = FRICTION_WIDTH if width is None else width
@@ -190,7 +193,7 @@ def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
         efforts[:, c] += friction_efforts(compared, c, fit, load[:, c])
     corrected = as_recorded(compared, efforts, robot_fit)
     corrected = compared.distorted(corrected, found.signs, found.delay)
-    # Where the friction is unknown, all samples are comparable.
+    # If the friction of a joint is unknown, all samples are compared.
     when = [
         used if fit.unknown_because else used & is_moving(recorded.qd[:, c], recorded.width)
         for c, fit in enumerate(fits)
@@ -268,7 +271,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
 def _confirmed(
     undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
 ) -> Axes:
-    """Return the reversed axes if they explain more than wrong links, else the recorded axes."""
+    """Return the reversed axes if they clearly improve a fit of all links, else `recorded`."""
     left = []
     for each in (reversed_, recorded):
         bodies = fit_bodies(undistorted(each.signs), each.data, each.robot_fit)
@@ -303,7 +306,7 @@ def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
 
 
 def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
-    """Explain efforts; if needed, assume wrong links or a cause that acts in an interval."""
+    """Explain efforts; if needed, assume wrong links or a temporary cause."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
     bodies = fit_bodies(compared, data, robot_fit)

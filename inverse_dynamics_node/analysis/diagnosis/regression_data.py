@@ -1,5 +1,5 @@
 """
-Searches for an explanation of measured efforts that has small residuals and few parameters.
+Explains measured efforts with small residuals and few parameters.
 
 A *candidate model* changes the efforts of the whole robot, as a payload does. In addition, the
 effort sensor of each joint may have a fault.
@@ -40,13 +40,13 @@ from .loads import fit_payload, MAX_REACH, PARAMETERS, point_mass_parameters
 UNIT_PARAMETERS = 2  # a wrong unit has the weight of two parameters, because it is rare
 COST_TOLERANCE = 0.1  # smaller differences of costs are ignored
 MAX_ITERATIONS = 3  # candidate model and sensor faults are fitted in turn
-MIN_DURATION = 4.0  # [s] of samples; in shorter recordings, chance explains too much
+MIN_DURATION = 4.0  # [s]; in shorter recordings, a fit may be good by chance
 OWN_CONTRIBUTION = 0.7  # a candidate leaves at most this fraction of the nominal model's residual
-NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
-CONSIDERABLE = 0.3  # less gravity than this fraction of the modelled effort may be a model error
-LIKE_A_LOAD = (0.3, 3.0)  # at rest, factors in this range may be due to a load, not to a unit
+NO_GRAVITY = 0.25  # efforts with a larger fraction of gravity do not lack gravity
+CONSIDERABLE = 0.3  # a smaller ratio of gravity to modelled effort may be a model error
+LIKE_A_LOAD = (0.3, 3.0)  # at rest, a load instead of a unit may cause factors in this range
 GRAVITY_KINDS = FaultKind.GRAVITY_COMPENSATED, FaultKind.GRAVITY_MEASURED
-STRENGTH = 0.02  # largest relative change of the magnitude of gravity by a mounting
+STRENGTH = 0.02  # largest relative error of the magnitude of gravity in a fitted mounting
 MIN_TILT = math.radians(3.0)
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
 
@@ -82,7 +82,7 @@ class RobotFit(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """Sum of the costs of all joints, plus the cost of parameters of the whole robot."""
+        """Sum of the costs of all joints, plus the cost of parameters that joints share."""
         moved = sum(i != j for i, j in enumerate(self.source))
         parameters = self.candidate.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
         swapped = [fit.sensor_fault.is_swapped for fit in self.fits if not fit.is_friction_only]
@@ -199,10 +199,10 @@ class RegressionData:
 
     def is_open(self, robot_fit: RobotFit, floors: float, most: float = math.inf) -> bool:
         """
-        Return whether the effort of a moving joint is not explained.
+        Return whether the effort of any moving joint is not explained.
 
-        Such a joint leaves more than `floors` times its floor unexplained. If this limit is larger
-        than the fraction `most`, the larger one of the floor and `most` is the limit.
+        An effort is explained if the remaining fraction of the squares is at most `floors` times
+        the floor of the joint. This limit cannot exceed `most`, unless the floor exceeds `most`.
         """
         return any(
             samples.moves and fit.remaining > max(floor, min(floors * floor, most))
@@ -221,7 +221,7 @@ class RegressionData:
         )
         if nominal.cost - lowest_cost < PARAMETER_COST:
             return nominal  # no further parameter can be worth its cost
-        # If both explain as much, missing gravity is preferred to an offset of a joint.
+        # If missing gravity and a joint offset explain equally much, prefer missing gravity.
         found = sorted(
             self._candidates(nominal),
             key=lambda each: each.cost - COST_TOLERANCE * self.contradicts(each.candidate),
@@ -234,7 +234,7 @@ class RegressionData:
         # At rest, efforts in a small unit seem to lack gravity.
         if len(found) == 1 or not (self.has_gravity and self.is_at_rest):
             found.append(other)
-        # Start without sensor faults, and with the best sensor faults for the unchanged model.
+        # Start without sensor faults, and again with the sensor faults of the nominal fit.
         starts = [[JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)]
         swapped = [fit.sensor_fault.is_swapped for fit in nominal.fits]
         if any(swapped):  # a load may look like other sensor faults
@@ -268,7 +268,7 @@ class RegressionData:
         remaining = {False: 0.0, True: 0.0}
         squares = {False: 0.0, True: 0.0}
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
-            # The effort of a joint at rest also contains an unknown dry friction.
+            # The effort of a joint at rest also contains unknown dry friction.
             if not (samples.moves or self.is_at_rest):
                 continue
             square = self.square(robot_fit, j)
@@ -279,7 +279,7 @@ class RegressionData:
         )
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether joints with much gravity are explained with little gravity left."""
+        """Return whether joints with much gravity are explained and hardly any gravity remains."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -339,7 +339,7 @@ class RegressionData:
         return [min(found, key=lambda each: each.cost)]
 
     def _factors_at_rest(self, nominal: RobotFit) -> list[float]:
-        """Return the factors of joints that cannot identify a unit without other joints."""
+        """Return the factors of joints that do not reveal their unit on their own."""
         factors = []
         for j, (samples, fit) in enumerate(zip(self.joints, nominal.fits, strict=True)):
             measured = self.first_measured + j
@@ -359,7 +359,7 @@ class RegressionData:
         return weights
 
     def other_gravity(self) -> CandidateModel:
-        """Return the model with gravity if the convention excludes gravity, else without."""
+        """Return the model with the opposite convention for gravity."""
         kind = GRAVITY_KINDS[not self.has_gravity]
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0 if self.has_gravity else 1.0})
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
@@ -402,7 +402,7 @@ class RegressionData:
         stacked, targets = [], []
         for j, (samples, fit) in enumerate(zip(self.joints, fits, strict=True)):
             if fit.sensor_fault.is_scaled:
-                continue  # its unit is unknown
+                continue  # the unit of this joint is unknown
             R = samples.triangle
             columns = R[:, : self.first_measured]
             target = fit.sensor_fault.sign * R[:, self.first_measured + j] - columns @ fixed
@@ -462,7 +462,7 @@ class RegressionData:
     def loaded(
         self, k: int, base: CandidateModel, solution: Floats, errors: Floats
     ) -> CandidateModel | None:
-        """Add a point mass on link k to a candidate model; None if mass or position is absurd."""
+        """Add a point mass on link k to a model; return None if mass or position is absurd."""
         # The missing mass of a body cannot exceed its mass.
         least = -self.link_masses[k] - 3.0 * errors[0]
         if not least < solution[0] < self.heaviest or np.linalg.norm(solution[1:]) > MAX_REACH:
@@ -481,7 +481,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Exchange efforts of unexplained joints; return a fit if the exchange explains them."""
+        """Fit exchanged efforts of unexplained joints; return nothing if the exchange fails."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights

@@ -1,1 +1,1 @@
-"""Designs a motion whose recording determines masses and friction as well as possible."""
+"""Designs a motion for an accurate identification of masses and friction."""

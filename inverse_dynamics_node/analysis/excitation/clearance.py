@@ -1,10 +1,10 @@
 """
-Computes distances of a robot to itself, to the floor and to boxes, and their gradients.
+Computes distances between links, to the floor and to boxes, with gradients.
 
-Sampled poses decide which links may come near each other, as in planning tools. Links that are
-neighbours, or that touch in almost all poses, are left out. Capsules around the links are larger
-than the links. If two capsules are often near each other, points on the surfaces of the links show
-how near the capsules may come.
+As in planning tools, sampled poses show which links may come near each other. Neighbouring links,
+and links that touch in almost all poses, are not checked. Capsules enclose the links. If two
+capsules are often near each other, points on the surfaces of the links show how close the capsules
+may come.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ...robot.kinematics import body_frames
 from ...robot.model import Floats, Integers, RobotModel
 
 CLEARANCE = 0.02
-"""Least distance of links to each other, to the floor and to boxes [m]."""
+"""Least distance between links, and between a link and the floor or a box [m]."""
 TOUCH = 0.005
-"""Surfaces are regarded as touching if their points are nearer than this [m]."""
+"""Two surfaces are regarded as touching if their points are closer than this [m]."""
 _ALWAYS = 0.01
-"""Links that are nearer than this in almost all poses are not checked [m]."""
+"""Two links that are closer than this in almost all poses are not checked [m]."""
 _MANY, _ALL = 0.3, 0.95
-"""Fractions of the sampled poses that are regarded as many poses, and as almost all poses."""
+"""'Many' means more than the first fraction of poses; 'almost all', more than the second."""
 _OFTEN = 0.02
-"""Surfaces are compared if the links are near each other in more than this fraction of poses."""
+"""Surfaces are compared if two links are near each other in more than this share of poses."""
 _MOST_LOOKS = 40
-"""Largest number of poses in which surfaces are compared."""
+"""Largest number of poses in which the surfaces of two links are compared."""
 _UNSEEN = 0.005
-"""If surfaces are never near, their capsules may come this much closer than in samples [m]."""
+"""If two surfaces never come close, their capsules may be this much closer than sampled [m]."""
 _ON_THE_WAY = 0.005
-"""If links are too near at the start of a path, they may at first come this much closer [m]."""
+"""Links that are too close at the start of a path may first approach by this distance [m]."""
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
-"""A distance that is too short by this much costs as much as twice the permitted speed [m]."""
+"""A distance that is too short by this has the same penalty as twice the speed limit [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
-"""Places on a segment, 0 to 1; the place nearest to a box is chosen."""
+"""Positions along a segment, 0 to 1, at which the distance to a box is computed."""
 _CHUNK = 200
-"""Number of poses for which distances are computed together."""
+"""Number of poses for which distances are computed at once."""
 
 
 class Extent(NamedTuple):
@@ -55,7 +55,7 @@ class Extent(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Pairs that are near each other in some poses: two capsules, or a capsule and an obstacle."""
+    """Pairs of capsules, or of a capsule and an obstacle, that are close in some poses."""
 
     pose: Integers
     row: Integers
@@ -68,42 +68,42 @@ class Contacts(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """The smallest distance between two links, or a link and an obstacle, in several poses."""
+    """Smallest distance in several poses, between two links or between a link and an obstacle."""
 
     names: tuple[str, str]
-    """A link, and another link, 'floor' or 'box'."""
+    """A link and its counterpart: another link, 'floor' or 'box'."""
     distance: float
-    """Distance [m]; it is measured between surfaces if the shapes of both links are known."""
+    """Distance [m], between surfaces if the shapes of both links are known."""
     pose: int
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Distances that a robot must keep; each row is two capsules, or a capsule and an obstacle."""
+    """Least distances of a robot; a row is a pair of capsules, or a capsule and an obstacle."""
 
     robot: RobotModel
     capsules: Capsules
     pairs: Integers
-    """Indices of two capsules each, shape (pairs, 2)."""
+    """Indices of the two capsules of each pair, shape (pairs, 2)."""
     floor: float
     """Height of the floor [m]; -inf without a floor."""
     boxes: Floats
     """Lowest and highest corner of each box, shape (boxes, 2, 3) [m]."""
     needed: Floats
-    """Least distances [m]: of the pairs, of capsule ends to the floor, of capsules to each box."""
+    """Least distances [m]: of pairs, of capsule ends from the floor, of capsules from each box."""
     unchecked: tuple[str, ...] = ()
-    """Pairs that are too often near each other to be checked, such as 'wrist and floor'."""
+    """Pairs that are not checked, because they are close too often, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
-        """Both bodies of each row, shape (rows, 2); the base stands for the floor and boxes."""
+        """Both bodies of each row, shape (rows, 2); the base represents the floor and boxes."""
         body = self.capsules.body
         single = np.tile(body, 2 + len(self.boxes))
         outside = np.stack([single, np.zeros_like(single)], axis=1)
         return np.asarray(np.concatenate([body[self.pairs], outside]))
 
     def contacts(self, q: Floats, margin: float = 0.0) -> Contacts:
-        """Return the pairs that are nearer than their least distance plus a margin [m]."""
+        """Return the pairs that are closer than their least distance plus a margin [m]."""
         parts = []
         for first in range(0, max(len(q), 1), _CHUNK):
             found = self._contacts(q[first : first + _CHUNK], margin)
@@ -140,7 +140,7 @@ class Clearance:
     def _between_capsules(
         self, a: Floats, b: Floats, middle: Floats, reach: Floats, limit: Floats
     ) -> Contacts:
-        """Return contacts of two capsules if the spheres around them are near each other."""
+        """Return contacts between capsules whose bounding spheres are near each other."""
         i, j = self.pairs.T
         near = np.maximum(reach[i] + reach[j] + limit[: len(i)], 0.0) ** 2
         x, y, z = np.ascontiguousarray(middle.transpose(2, 1, 0))  # contiguous: ten times as fast
@@ -166,7 +166,7 @@ class Clearance:
         return first, second
 
     def _missing(self, q: Floats, margin: float, is_way: bool) -> tuple[Contacts, Floats]:
-        """Return contacts, and the distance that is missing in each contact [m]."""
+        """Return the contacts, and the missing distance of each contact [m]."""
         found = self.contacts(q, margin)
         missing = self.needed[found.row] + margin - found.distance
         if is_way:
@@ -181,10 +181,10 @@ class Clearance:
         """
         Return the violation of each pose, and its gradient with respect to joint positions.
 
-        The violation of a pose is the sum of squares of the missing distances, relative to
-        `_SCALE`. The gradient has the shape (poses, joints). `aim` is the fraction of the limits
-        that a search aims at. If the poses are those of a path (`is_way`), links that are too
-        near each other in the first pose must gradually move apart.
+        The violation of a pose is the sum of the squared missing distances, in units of `_SCALE`.
+        The gradient has the shape (poses, joints). `aim` is the fraction of the limits that a
+        search aims at. If the poses form a path (`is_way`), links that are too close to each other
+        in the first pose must gradually move apart.
 
         """
         margin = (1.0 - aim) * _SCALE
@@ -197,7 +197,7 @@ class Clearance:
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
-        """Return gradients of weighted sums of distances, from the work of forces on links."""
+        """Return gradients of weighted sums of distances, computed as the work of forces."""
         robot, slopes = self.robot, np.zeros(q.shape)
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))
@@ -221,7 +221,7 @@ class Clearance:
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
-        """Return the smallest distance of each pair of nearby bodies, sorted by distance."""
+        """Return the smallest distance between each two nearby bodies, in ascending order."""
         found = self.contacts(q, _FAR)
         rotations, positions = body_frames(self.robot, q)
         nearest: dict[tuple[str, str], Nearest] = {}
@@ -229,7 +229,7 @@ class Clearance:
             pose, row, distance = int(found.pose[k]), int(found.row[k]), float(found.distance[k])
             names = self.names(row)
             best = nearest[names].distance if names in nearest else math.inf
-            # Surfaces are inside the capsules, so they cannot be nearer than the capsules.
+            # Surfaces lie inside capsules, so surfaces cannot be closer than their capsules.
             if distance >= best:
                 continue
             if row < len(self.pairs):
@@ -252,7 +252,7 @@ class Clearance:
         """
         Return the distance between the two surfaces of a row [m]; R and p are the body frames.
 
-        The distance is `otherwise` if a surface is unknown, and inf if it is not less than
+        The result is `otherwise` if a surface is unknown, and inf if the distance is at least
         `below`.
 
         """
@@ -270,7 +270,7 @@ class Clearance:
         return all(len(self.capsules.surfaces[k]) for k in self.pairs[row])
 
     def names(self, row: int) -> tuple[str, str]:
-        """Return the names of a row: a link, and another link, 'floor' or 'box'."""
+        """Return the names of a row: a link and its counterpart (a link, 'floor' or 'box')."""
         p, c, names = len(self.pairs), len(self.capsules.body), self.capsules.names
         if row < p:
             first, second = self.pairs[row]
@@ -300,8 +300,8 @@ def find_clearance(
     Find the links of a robot that may come near each other, the floor, or a box.
 
     `poses` are random poses within the limits, shape (poses, joints) [rad or m]. `floor` is the
-    height of the floor in the frame of the base [m]. Each of the `boxes` has a lowest and a
-    highest corner in this frame [m].
+    height of the floor in the frame of the base [m]. Each of the `boxes` consists of its lowest
+    and its highest corner in this frame [m].
 
     """
     body, c = capsules.body, len(capsules.body)
@@ -314,7 +314,7 @@ def find_clearance(
     needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (2 + len(obstacles))])
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
     found, p = clearance.contacts(poses), len(pairs)
-    # A capsule that is always near the floor at one height is on a joint axis: nothing lifts it.
+    # A capsule end that stays near the floor at one height is on a joint axis, and is ignored.
     for end in range(p, p + 2 * c):
         heights = found.distance[found.row == end]
         if len(heights) > _ALL * len(poses) and np.ptp(heights) < _ALWAYS:
@@ -342,10 +342,10 @@ def _needed(
     clearance: Clearance, poses: Floats, pose: Integers, row: Integers, distance: Floats
 ) -> dict[int, float]:
     """
-    Return the least distance for each row of two bodies that are often near each other [m].
+    Return the least distance of each row for two bodies that are often near each other [m].
 
-    `pose`, `row` and `distance` describe the contacts of the two bodies. The least distance is
-    -inf if a row need not be checked.
+    `pose`, `row` and `distance` describe the contacts of the two bodies. Rows that need not be
+    checked have a least distance of -inf.
 
     """
     near_poses = np.unique(pose)
@@ -365,7 +365,7 @@ def _needed(
         )
     of_poses = np.array([surfaces[pose == k].min() for k in near_poses[:_MOST_LOOKS]])
     least = CLEARANCE
-    if share > _MANY:  # near each other by design: less than half the usual is too near
+    if share > _MANY:  # close by design: half the typical distance is permitted
         least = float(np.clip(0.5 * np.median(of_poses), TOUCH, CLEARANCE))
     if share * np.mean(of_poses < max(least, _ALWAYS)) > _ALL:
         return dict.fromkeys(row.tolist(), -math.inf)
@@ -384,7 +384,7 @@ def _needed(
 
 
 def _nearest(a: Floats, b: Floats, c: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of segments a to b and c to d, each of shape (segments, 3)."""
+    """Return the nearest points of segments from a to b and from c to d, shape (segments, 3)."""
     u, v, r = b - a, d - c, a - c
     uu, uv, vv, ur, vr = (
         np.einsum('ij,ij->i', x, y) for x, y in ((u, u), (u, v), (v, v), (u, r), (v, r))
@@ -418,7 +418,7 @@ def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _twice(points: Floats) -> Floats:
-    """Return each point as a pair of equal points; the second one belongs to the obstacle."""
+    """Pair each point with itself; the second point of each pair belongs to the obstacle."""
     return np.stack([points, points], axis=1)
 
 

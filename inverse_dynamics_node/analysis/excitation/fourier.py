@@ -17,17 +17,17 @@ class FourierSeries:
     """
     A motion of several joints as a Fourier series.
 
-    Velocity and acceleration are zero at both ends. Therefore, the motion can start from rest, and
-    it can be repeated.
+    Velocity and acceleration are zero at both ends. Therefore, the motion can start from rest and
+    can be repeated.
 
     """
 
     joint_names: tuple[str, ...]
     """The joints that move."""
     duration: float
-    """Duration of the motion, which is the period of the first harmonic [s]."""
+    """Duration of the motion, equal to the period of the first harmonic [s]."""
     coefficients: Floats
-    """Factors of the `basis`, shape (joints, 2 * harmonics - 1) [rad or m]."""
+    """Factors of the functions in `basis`, shape (joints, 2 * harmonics - 1) [rad or m]."""
 
     @property
     def harmonics(self) -> int:
@@ -35,7 +35,7 @@ class FourierSeries:
         return (int(self.coefficients.shape[1]) + 1) // 2
 
     def sample(self, times: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities, accelerations at times [s], shape (times, joints) each."""
+        """Return positions, velocities and accelerations at times [s], shape (times, joints)."""
         q, qd, qdd = (
             part @ self.coefficients.T for part in basis(times, self.duration, self.harmonics)
         )
@@ -45,7 +45,7 @@ class FourierSeries:
         """
         Return the motion as points at a rate [Hz]; the first and last points are exactly at rest.
 
-        `speed` is a factor of the speed: with 0.2, the same path takes five times as long.
+        `speed` scales the speed: with a value of 0.2, the same path takes five times as long.
 
         """
         count = max(2, math.ceil(self.duration / speed * rate - 1e-9) + 1)
@@ -60,9 +60,9 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
     """
     Evaluate the basis functions of a motion, and their first and second derivatives.
 
-    With h harmonics, the functions are a constant, h - 1 combinations of sines, and h - 1 of
-    cosines. Their velocity and acceleration are zero at both ends. `duration` is the period of the
-    first harmonic [s]. Returns three arrays of shape (times, 2 h - 1).
+    With h harmonics, the functions are a constant, h - 1 combinations of sines, and h - 1
+    combinations of cosines. Their first and second derivatives are zero at both ends. `duration`
+    is the period of the first harmonic [s]. Returns three arrays of shape (times, 2 h - 1).
 
     """
     orders = np.arange(1.0, harmonics + 1.0)
@@ -82,13 +82,13 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
 def _combinations(harmonics: int) -> tuple[Floats, Floats]:
     """Return combinations of sines and of cosines, one per column; all start at rest."""
     orders = np.arange(1.0, harmonics + 1.0)
-    # Amplitudes that fall with the order give all combinations similar speeds.
+    # Amplitudes that decrease with the order give all combinations similar speeds.
     of_sines = _null_space(np.ones(harmonics)) / orders[:, np.newaxis]
     of_cosines = _null_space(orders) / orders[:, np.newaxis]
     return of_sines, of_cosines
 
 
 def _null_space(row: Floats) -> Floats:
-    """Return an orthonormal basis of the vectors that are orthogonal to `row`, as columns."""
+    """Return an orthonormal basis of the null space of `row`, as columns."""
     _, _, directions = np.linalg.svd(row[np.newaxis])
     return np.asarray(directions[1:].T)

@@ -1,13 +1,14 @@
 """
-Computes the information about masses and friction that the efforts of a motion contain.
+Computes how much information about masses and friction the efforts of a motion contain.
 
 Efforts are linear in the unknowns: tau = Y(q, qd, qdd) pi + a qdd + d qd + c tanh(qd / w) + o.
 Here, pi are the inertial parameters of the bodies, a is the armature, d the damping, c the Coulomb
-friction with the width w, and o an offset. Efforts depend only on certain combinations of the
-parameters pi, the base parameters. For each base parameter, one column of Y is used.
+friction with the width w, and o an offset. The parameters pi affect efforts only through certain
+combinations, called base parameters. For each base parameter, one column of Y is used.
 
-W contains these columns for a motion, divided by the noise of the efforts. The information is W^T
-W, and its inverse is the covariance of the unknowns.
+The matrix W contains these columns and the columns of the joint terms, for all samples of a
+motion. Each row is divided by the noise of its effort. The information is W^T W, and its inverse
+is the covariance of the unknowns.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ WIDTH = 0.02
 _SAMPLES = 400
 """Number of random states from which the columns are selected."""
 _STATES = 500
-"""Number of random states within the limits for the error of predicted efforts."""
+"""Number of random states for which the error of predicted efforts is computed."""
 _GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
 """Indices of mass, first moments and moments of inertia among the parameters of a body."""
 
@@ -38,9 +39,9 @@ class Unknowns:
     The unknowns that the efforts of the moving joints can determine.
 
     `noise` is the standard deviation of the measured effort of each moving joint [N m or N].
-    `columns` contains the indices of the selected columns. There are ten columns for each body
-    except the base, then one per moving joint for each kind in `OF_JOINT`. `scale` is the typical
-    size of the weighted column of each unknown. The columns are divided by this size.
+    `columns` contains the indices of the selected columns. The full set has ten columns for each
+    body except the base, followed by one column per moving joint for each term in `OF_JOINT`.
+    `scale` contains the RMS of each weighted column. Each column is divided by this RMS.
 
     """
 
@@ -74,11 +75,11 @@ class Unknowns:
 
     def weighted_sum(self, weights: Floats) -> Callable[[States], Floats]:
         """
-        Return a function that sums the entries of `weighted`, each multiplied by a weight.
+        Return a function that sums the products of weights and entries of `weighted`.
 
-        Weights have the shape (samples, moving joints, unknowns). The function accepts the states
-        of all samples, repeated r times, of shape (r * samples, moving joints). It returns r *
-        samples sums. The function uses all columns, because a selection takes longer than the sum.
+        Weights have the shape (samples, moving joints, unknowns). The function accepts r states of
+        each sample, in an array of shape (r * samples, moving joints), and returns one sum per
+        state. The function sums over all columns, because a selection of columns takes longer.
 
         """
         k, m, _ = weights.shape
@@ -103,7 +104,7 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return indices of body and joint unknowns, and each joint unknown's kind and joint."""
+        """Return the indices of body and of joint unknowns, and the latter's terms and joints."""
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
@@ -129,13 +130,13 @@ class ExpectedErrors:
     noise: Floats
     """Assumed standard deviation of measured efforts, shape (moving joints,) [N m or N]."""
     of_joints: Floats
-    """Errors of the kinds in `OF_JOINT`, shape (moving joints, 4)."""
+    """Errors of the terms in `OF_JOINT`, shape (moving joints, 4)."""
     efforts: Floats
-    """RMS errors of efforts in random states, shape (moving joints,) [N m or N]."""
+    """RMS errors of predicted efforts at random states, shape (moving joints,) [N m or N]."""
     body_names: tuple[str, ...]
-    """The bodies without the base."""
+    """Names of all bodies except the base."""
     of_bodies: Floats
-    """Largest errors of mass [kg], first moments [kg m], inertia [kg m^2], shape (bodies, 3)."""
+    """Largest error of mass [kg], first moments [kg m] and inertia [kg m^2], shape (bodies, 3)."""
     count: int
     """Number of unknowns."""
 

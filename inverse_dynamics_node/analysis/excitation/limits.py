@@ -1,8 +1,9 @@
 """
-Describes the limits of a motion, and states of the joints within these limits.
+Describes the limits of a motion, and samples joint states within these limits.
 
-A motion has limits of positions, speeds and efforts. If a URDF has no limit, a value is assumed.
-The module `clearance` describes the distances that the robot must keep.
+A motion has limits of positions, speeds and efforts. Values are assumed for missing limits of
+positions and speeds. A missing effort limit remains infinite. The module `clearance` describes the
+distances that the robot must keep.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from ..sizing import joint_ranges
 from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
-"""Fraction of the limits that a motion uses; the reserve is for control and unknown masses."""
+"""Fraction of the limits that a motion uses; control and unknown masses may need the rest."""
 ASSUMED_SPEED = (1.0, 0.25)
-"""Assumed speed limit of joints without a limit: revolute [rad/s], prismatic [m/s]."""
+"""Value assumed for a missing speed limit: revolute [rad/s], prismatic [m/s]."""
 ASSUMED_SLIDE = 1.0
 """Assumed range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
@@ -32,12 +33,12 @@ _LEAST_RANGE = 1e-3
 _POSES = 400
 """Number of random poses that show which links of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A light joint carries less than this mass [kg] and less than this fraction of the robot."""
+"""A light joint carries less than this mass [kg] and less than this fraction of the robot mass."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of the joints that move; all other joints of the robot rest."""
+    """Limits of the joints that move; all other joints of the robot remain at rest."""
 
     joint_names: tuple[str, ...]
     """The joints that move."""
@@ -47,7 +48,7 @@ class MotionLimits:
     """
     Positions of all joints of the robot before a motion, shape (joints,) [rad or m].
 
-    The way to the start of a motion begins there. Joints that do not move stay there.
+    The way to the start of a motion begins in this pose. Joints that do not move keep this pose.
     """
     lower: Floats
     """Lower ends of the position ranges, shape (moving joints,) [rad or m]."""
@@ -60,7 +61,7 @@ class MotionLimits:
     clearance: Clearance | None = None
     """Distances that the robot must keep; None if distances are not checked."""
     notes: tuple[str, ...] = ()
-    """Sentences for the user about assumptions."""
+    """Notes for the user about assumptions."""
 
     @property
     def middle(self) -> Floats:
@@ -69,7 +70,7 @@ class MotionLimits:
 
     @property
     def half(self) -> Floats:
-        """Half of the width of the position ranges, shape (moving joints,) [rad or m]."""
+        """Half the width of the position ranges, shape (moving joints,) [rad or m]."""
         return np.asarray(0.5 * (self.upper - self.lower))
 
 
@@ -83,12 +84,12 @@ def motion_limits(
     """
     Collect the limits of a motion.
 
-    `joints` are the joints to move; by default, all joints that can move and carry more than a few
-    grams. The motion uses a `fraction` of ranges, speeds and efforts. `ranges` replaces position
-    ranges of the robot description, and these ranges are used in full [rad or m]. `rest` sets the
-    positions before the motion [rad or m], also for joints that do not move; the default is 0 or
-    the nearest limit. Raises ConfigurationError if a joint does not exist or cannot move, or if a
-    value is invalid.
+    `joints` are the joints to move; the default is all joints that can move, except joints that
+    carry almost no mass. The motion uses a `fraction` of the position ranges, speeds and efforts.
+    `ranges` replaces position ranges of the robot description, and is used in full [rad or m].
+    `rest` sets joint positions before the motion [rad or m], also for joints that do not move. The
+    default position is 0 or the nearest limit. Raises ConfigurationError if a joint does not exist
+    or cannot move, or if a value is invalid.
 
     """
     if not 0.0 < fraction <= 1.0:
@@ -168,7 +169,7 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
 
 
 def _light(robot: RobotModel) -> dict[str, str]:
-    """Return joints that carry almost no mass, such as finger joints, with a text on the mass."""
+    """Return joints that carry almost no mass, such as finger joints, each with an explanation."""
     carried = robot.mass.copy()
     for body in range(len(carried) - 1, 0, -1):
         carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
@@ -211,7 +212,7 @@ def _chosen(
 
 
 class States(NamedTuple):
-    """States of the joints that move, each of shape (states, moving joints)."""
+    """States of the moving joints; each array has the shape (states, moving joints)."""
 
     q: Floats
     """Positions [rad or m]."""
@@ -222,7 +223,7 @@ class States(NamedTuple):
 
 
 def whole_states(limits: MotionLimits, states: States) -> States:
-    """Return the states of all joints of the robot, each of shape (states, joints)."""
+    """Return the states of all joints of the robot, in arrays of shape (states, joints)."""
     q = whole_positions(limits, states.q)
     whole = States(q, np.zeros_like(q), np.zeros_like(q))
     for part, values in zip(whole[1:], states[1:], strict=True):
@@ -231,7 +232,7 @@ def whole_states(limits: MotionLimits, states: States) -> States:
 
 
 def whole_positions(limits: MotionLimits, q: Floats) -> Floats:
-    """Return positions of all joints from those of the moving joints, shape (poses, joints)."""
+    """Extend positions of the moving joints to all joints of the robot, shape (poses, joints)."""
     whole: Floats = np.tile(limits.rest, (len(q), 1))
     whole[:, limits.index] = q
     return whole
@@ -254,9 +255,9 @@ def keep_clear(
     boxes: Sequence[Floats] = (),
 ) -> MotionLimits:
     """
-    Return limits for motions during which the robot hits neither itself nor an obstacle.
+    Return the limits with distances that keep the robot clear of itself and of obstacles.
 
-    `capsules` surround the bodies of the robot. For `floor` and `boxes`, see `find_clearance`.
+    `capsules` enclose the bodies of the robot. For `floor` and `boxes`, see `find_clearance`.
 
     """
     poses = random_states(limits, _POSES, np.random.default_rng(3)).q
@@ -272,7 +273,8 @@ def excess(
     Return how far states exceed each limit, relative to the limit.
 
     `aim` is the fraction of a limit at which the excess starts; below this value, the excess is 0.
-    The result has one row per state, and one column for each limit of position, speed and effort.
+    The result has one row per state, and one column for each finite limit of position, speed or
+    effort.
 
     """
     parts = [

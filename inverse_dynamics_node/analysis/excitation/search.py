@@ -1,9 +1,9 @@
 """
-Searches for the motion within the limits whose efforts contain the most information.
+Searches, within limits, for the motion that maximises the information in the efforts.
 
-The search maximises the logarithm of the determinant of the information (D-optimal design) over
-the coefficients of a Fourier series [1]_. During the search, violated limits cause penalties. The
-result is within all limits.
+The search varies the coefficients of a Fourier series [1]_ to maximise the logarithm of the
+determinant of the information (D-optimal design). During the search, violations of limits are
+penalised. The result keeps all limits.
 
 References
 ----------
@@ -35,37 +35,37 @@ NOISE = 0.01
 SAMPLES_PER_SECOND = 10.0
 """Number of independent samples per second; smoothing removes faster noise [Hz]."""
 _STEP = 1e-6
-"""Step of finite differences of positions [rad or m]; other steps are relative to full speed."""
+"""Step of finite differences [rad or m]; for rates, the step is relative to the largest speed."""
 _PER_HARMONIC = 16
 """Number of samples for each harmonic during the search."""
 _FINE = 8
-"""The final check has this many samples for each sample of the search."""
+"""Number of samples in the final check for each sample of the search."""
 _DENSER = 4
-"""Number of poses to check for each sample of the search: links may collide between samples."""
+"""Number of poses to check for collisions for each sample of the search."""
 _COARSE, _SHRINKING = 8, 0.95
-"""Coarse checks use every 8th state; a motion shrinks by this factor if a full check fails."""
+"""Coarse checks use every 8th state; if the full check fails, a motion shrinks by this factor."""
 _WAY = 60
 """Number of poses that the search checks on the way to the start of a motion."""
 CANDIDATES = 30
-"""Number of random motions; the search starts from the best of them."""
+"""Number of random motions; the search starts from the best of these motions."""
 _POSES = 300
-"""Number of random poses; the drives must be able to hold at least one of them."""
+"""Number of random poses; the drives must be able to hold at least one pose."""
 _NEARLY_ALL = 0.9
 """If more than this fraction of poses is below the floor, the floor height is probably wrong."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
-"""For each round: the weight of violated limits relative to one unknown; number of iterations."""
+"""Penalty weight relative to one unknown, and number of iterations, for each round."""
 _LARGEST_WORK = 1.5e9
-"""Largest number of regressor entries to compute; more joints lead to fewer iterations."""
+"""Largest number of regressor entries to compute; robots with many joints get fewer iterations."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
 """Fraction of the limits that the search aims at, because penalties allow small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
-"""If the motion violates a limit, the search aims at these fractions of the limits in turn."""
+"""After a violation, the search aims at these fractions of the limits in turn."""
 _OF_REPAIR = (1e5, 30)
 _LEAST_NOISE = 1e-6
 """Smallest assumed noise [N m or N]."""
 _TINY = 1e-9
-"""Added to the diagonal of the scaled information, so that its determinant is not zero."""
+"""Value added to the diagonal of the scaled information to keep the determinant above zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Excitation:
     random_log_det: float
     """Largest `log_det` of `CANDIDATES` random motions within the same limits."""
     nearest: tuple[Nearest, ...] = ()
-    """Smallest distances during the motion and on the way to its start; the smallest first."""
+    """Smallest distances during the motion and on the way to its start, in ascending order."""
 
 
 def find_excitation(
@@ -94,15 +94,16 @@ def find_excitation(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """
-    Find an excitation motion; the result is always the same for the same arguments.
+    Find an excitation motion; equal arguments always give equal results.
 
     `duration` is the duration of the motion [s], and `harmonics` the number of harmonics of the
-    Fourier series. `noise` is the standard deviation of measured efforts [N m or N], one value or
-    one per moving joint. By default, it is `NOISE` times the effort limit. Without an effort
-    limit, it is `NOISE` times the largest effort of random motions. `progress` is called now and
-    then with the fraction done, 0 to 1.
+    Fourier series. `noise` is the standard deviation of measured efforts [N m or N]: one value for
+    all moving joints or one value for each. The default is `NOISE` times the effort limit or,
+    without an effort limit, `NOISE` times the largest effort of random motions. `progress` is
+    called regularly with the completed fraction, 0 to 1.
 
-    Raises ConfigurationError if an argument is invalid, or no pose is within the limits.
+    Raises ConfigurationError if an argument is invalid, if no pose is within the limits, or if all
+    motions collide.
 
     """
     if not 0.0 < duration < math.inf:
@@ -133,8 +134,8 @@ def find_excitation(
                 nearest,
             )
     raise ConfigurationError(
-        'every motion that was tried collides, or the way to its start collides: restrict the '
-        'motion with --range, or set the pose before the motion with --at'
+        'every motion that was tried leads to a collision, either during the motion or on the way '
+        'to its start: use --range to restrict the motion, or --at to set the initial pose'
     )
 
 
@@ -176,7 +177,7 @@ class MotionSpace:
         return self._is_clear(states.q, every)
 
     def _is_clear(self, q: Floats, every: int = 1) -> bool:
-        """Return whether poses of the moving joints, and the way to the first pose, are clear."""
+        """Return whether poses of the moving joints and the way to the first pose are clear."""
         clearance = self.limits.clearance
         if clearance is None:
             return True
@@ -197,11 +198,11 @@ class MotionSpace:
 
     def missing_clearance(self, x: Floats, aim: float) -> tuple[float, Floats]:
         """
-        Return how far a motion and the way to its start violate the clearance, and the gradient.
+        Return the clearance violation of a motion and of the way to its start, and the gradient.
 
-        The first value is the mean of `Clearance.violation` over the motion plus the mean over the
-        way. The gradient is with respect to the coefficients, shape (moving joints, 2 * harmonics
-        - 1). `aim` is the fraction of the limits that the search aims at.
+        The violation is the mean of `Clearance.violation` over the motion plus the mean over the
+        way to its start. The gradient is with respect to the coefficients, shape (moving joints,
+        2 * harmonics - 1). `aim` is the fraction of the limits that the search aims at.
 
         """
         clearance, index = self.limits.clearance, self.limits.index
@@ -216,12 +217,12 @@ class MotionSpace:
         return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
-        """Return poses on the straight way from rest to a start, shape (count, joints)."""
+        """Return poses on the straight way from rest to a start pose, shape (count, joints)."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
         return np.asarray(rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest))
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
-        """Draw motions, as large as possible, about poses that the drives can hold."""
+        """Draw the largest possible random motions about poses that the drives can hold."""
         centres = self._poses(rng)
         found = []
         for k in range(count):
@@ -229,12 +230,12 @@ class MotionSpace:
             still[:, 0] = centres[k % len(centres)]
             swing = rng.normal(size=self.shape)
             swing[:, 0] = 0.0
-            # Each joint alone may use its full range and speed; efforts depend on all joints.
+            # First, each joint uses its full range or speed. Then, all limits determine the size.
             found.append(self._largest(still, swing / self._size(still, swing)))
         return found
 
     def within_limits(self, x: Floats, safe: Floats) -> Floats:
-        """Reduce a motion, or mix the motion with a safe one, until all limits are kept."""
+        """Reduce a motion, or blend it with a safe motion, until all limits are kept."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
         for end, smallest in ((still, 0.5), (safe, 0.0)):
@@ -245,7 +246,7 @@ class MotionSpace:
         return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
-        """Return the pose plus the largest fraction of the swing that stays within the limits."""
+        """Return the pose plus the largest fraction of the swing that the limits permit."""
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
@@ -265,7 +266,7 @@ class MotionSpace:
         return np.asarray(np.max(ratios, axis=0)[:, np.newaxis])
 
     def _poses(self, rng: np.random.Generator) -> Floats:
-        """Return poses within the limits, relative to middle and half width of the ranges."""
+        """Return poses within the limits, relative to the middle and half width of the ranges."""
         poses = rng.uniform(-0.5, 0.5, (_POSES, self.shape[0]))
         poses[0] = 0.0
         zeros = np.zeros_like(poses)
@@ -306,8 +307,8 @@ class MotionSpace:
         below = len(np.unique(found.pose[is_floor]))
         if below < _NEARLY_ALL * len(poses):
             return (
-                f'{said} and can be reached on a clear way from the pose before the motion: widen '
-                'the ranges, lower the floor (--floor), or set the pose (--at)'
+                f'{said} and reachable without collisions from the pose before the motion: widen '
+                'the ranges, lower the floor (--floor), or set that pose (--at)'
             )
         lowest = float(clearance.extent(poses).lowest[2])
         height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0
@@ -318,7 +319,7 @@ class MotionSpace:
 
 
 class _Objective:
-    """The negative logarithm of the determinant of the information, plus penalties for limits."""
+    """The negated log-determinant of the information, plus penalties for violated limits."""
 
     def __init__(self, motions: MotionSpace, unknowns: Unknowns) -> None:
         self.motions, self.unknowns = motions, unknowns
@@ -387,14 +388,14 @@ def _even_times(count: int, duration: float) -> Floats:
 
 
 def _information(columns: Floats) -> Floats:
-    # The product of one sample is too small for BLAS to start threads. On a busy machine, threads
-    # would take much longer than the products.
+    # The product for one sample is so small that BLAS starts no threads. On a busy machine,
+    # threads would take much longer than the products.
     products = columns.transpose(0, 2, 1) @ columns
     return np.asarray(np.mean(products, axis=0) + _TINY * np.eye(columns.shape[2]))
 
 
 def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None]) -> Floats:
-    """Return the motion that the search finds when it starts from x."""
+    """Return the result of a search that starts from the motion x."""
     from scipy.optimize import minimize
 
     most = _most_iterations(objective)
@@ -430,7 +431,7 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
 
 
 def _most_iterations(objective: _Objective) -> int:
-    """Return the largest number of iterations of a round; it is smaller for many joints."""
+    """Return the largest number of iterations per round; more joints lead to a smaller number."""
     m, n = objective.motions.shape[0], len(objective.motions.limits.rest)
     entries = n * objective.unknowns.rigid_count  # per regressor
     states = 3 * m * len(objective.motions.basis[0])  # per gradient

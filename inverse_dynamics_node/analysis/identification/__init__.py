@@ -1,8 +1,8 @@
 """
 Identifies inertial parameters, friction and armature of a robot from recordings.
 
-`identify_parameters` fits bodies that remain physical and close to the robot description. It
-evaluates the fit on data that were not used for the fit.
+`identify_parameters` fits physical bodies that stay close to the robot description. It also
+evaluates the result on data that were not used for the fit.
 """
 
 from .identify import identify_parameters

@@ -1,11 +1,11 @@
 """
-Fits the effects of drives on efforts: friction, armature, gains of currents, and a delay.
+Fits the effects of drives: friction, armature, current gains, and the delay of the efforts.
 
-A term of a joint is used if it improves the prediction of blocks that were left out of the fit.
+An optional joint term is used only if it improves the prediction of blocks left out of the fit.
 
 A current is the effort divided by a gain. If all gains and masses were multiplied by the same
-factor, the currents would not change. A known payload determines this factor; without one, the
-masses of the robot description determine it.
+factor, the currents would not change. This factor is determined by a known payload or, without a
+payload, by the masses of the robot description.
 """
 
 from __future__ import annotations
@@ -41,27 +41,27 @@ FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
 """An optional term must reduce the squared residuals of the prediction by this fraction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""An optional term must improve the prediction by this many standard errors of the improvement."""
+"""Least improvement by an optional term, in standard errors of the improvement."""
 LARGEST_LOAD = 0.1
-"""Expected standard deviation of load friction [-]; poor gears have this much."""
+"""Prior standard deviation of load friction [-]: the load friction of an inefficient gear."""
 WIDTHS = 10
-"""Number of friction widths to try."""
+"""Number of widths of Coulomb friction to try."""
 NARROWEST = 0.002
-"""Smallest friction width to try [rad/s or m/s]."""
+"""Smallest width of Coulomb friction to try [rad/s or m/s]."""
 SIGNIFICANT = 5.0
-"""A gain is known if its inverse exceeds this many standard errors."""
+"""A gain is known if its inverse exceeds the standard error of the inverse by this factor."""
 LEAST_CHANGE = 0.15
 """A smaller relative change of all efforts is not regarded as a common factor."""
 MOST_DISAGREEMENT = 0.5
-"""A change is common if the RMS deviation of the joints is below this fraction of the change."""
+"""Largest RMS deviation of the joints from a common change, as a fraction of the change."""
 EXPLAINS = 0.6
-"""A common factor must explain this fraction of the improvement due to the identified bodies."""
+"""Least share of a common factor in the improvement due to the identified bodies."""
 MOST_DELAY = 0.1
-"""Longest delay in either direction [s]."""
+"""Largest magnitude of an estimated delay [s]."""
 
 
 class JointFit(NamedTuple):
-    """Terms of the joints, fitted to the efforts that given bodies do not explain."""
+    """Joint terms, fitted to the efforts that given bodies leave unexplained."""
 
     model: Model
     """Model with the chosen terms; all other terms are zero."""
@@ -70,7 +70,7 @@ class JointFit(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """Time by which measured efforts are late."""
+    """Delay of the measured efforts, with its standard error."""
 
     seconds: float
     error: float
@@ -78,22 +78,22 @@ class Delay(NamedTuple):
 
 
 class EffortCorrection(NamedTuple):
-    """Delay and gains that convert recorded efforts to efforts of the model."""
+    """Delay and gains for the conversion of recorded values to efforts."""
 
     delay: float
-    """Time by which recorded efforts are late [s]."""
+    """Delay of the recorded values [s]."""
     gains: Floats
     """Effort per recorded value of each joint, shape (joints,)."""
     is_gain_known: Booleans
     """Whether the gain of each joint is known, shape (joints,)."""
 
     def apply(self, motions: Sequence[Motion]) -> list[Floats]:
-        """Return the corrected efforts of motions [N m or N], each of shape (samples, joints)."""
+        """Return the corrected efforts of each motion, shape (samples, joints) [N m or N]."""
         return [_shifted(motion, self.delay) * self.gains for motion in motions]
 
 
 def widths_to_try(speeds: Floats) -> Floats:
-    """Return friction widths to try for given speeds of joints, shape (WIDTHS, joints)."""
+    """Return widths of Coulomb friction to try at given joint speeds, shape (WIDTHS, joints)."""
     fast = np.maximum(speeds, 10.0 * NARROWEST)
     return np.geomspace(np.maximum(0.004 * fast, NARROWEST), 0.4 * fast, WIDTHS)
 
@@ -105,9 +105,9 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Fit joint terms to efforts that bodies do not explain; joints at rest only have offsets."""
+    """Fit joint terms to efforts that bodies do not explain; at rest, joints only have offsets."""
     found = JointFit(start.model, start.used)
-    # With couplings, the second pass knows the efforts of the drives on the joints before them.
+    # The second pass uses the new efforts of coupled drives on the preceding joints.
     for _ in range(2 if start.model.couplings.any() else 1):
         found = _choose_terms(regression, found, moving, grid, optional)
     return found
@@ -134,7 +134,7 @@ def _choose_terms(
 
 
 def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
-    """Fit the chosen terms to the unexplained efforts in some rows; couplings are ignored."""
+    """Fit the chosen terms to the unexplained efforts in the given rows; ignore couplings."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
     terms = regression.terms(model)
@@ -149,7 +149,7 @@ def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Mod
 def _block_grams(
     regression: Regression, model: Model, grid: Floats, target: Floats
 ) -> list[Floats]:
-    """Return products of columns for each joint, shape (widths, blocks, 11, 11)."""
+    """Return each joint's Gram matrices of terms and target, shape (widths, blocks, 11, 11)."""
     blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
@@ -162,7 +162,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Add useful terms to `chosen`; return the terms and the width index that predict best."""
+    """Add useful terms to `chosen`; return the terms and the index of the best width."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -175,7 +175,7 @@ def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple
 
 
 def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
-    """Return the improvement by a further term, divided by the required improvement."""
+    """Return the improvement by an additional term, relative to the required improvement."""
     if candidate == SQRT:  # must not compensate for the step between two widths
         chosen = (*chosen, WIDTH)
     losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]
@@ -186,7 +186,7 @@ def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> floa
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
-    """Return squared residuals of each block for a fit to the other blocks, and the best width."""
+    """Predict each block from the others; return squared residuals and the best width's index."""
     others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
     factors = np.zeros((*grams.shape[:2], TERMS + 1))
     factors[..., -1] = 1.0
@@ -200,7 +200,7 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
     """Solve many least-squares problems at once; only `SIGNED` terms may become negative."""
     index: Integers = np.array(chosen)
     matrices = grams[..., index[:, None], index].copy()
-    # Expect a small load friction, because a constant load looks like Coulomb friction.
+    # Expect small load friction, which looks like Coulomb friction if the load is constant.
     squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
     for k in np.flatnonzero(index == LOAD):
         matrices[..., k, k] += squares / LARGEST_LOAD**2
@@ -226,9 +226,9 @@ def first_gains(
     """
     Estimate the effort per current of each joint, based on the bodies of the robot description.
 
-    Returns the gain of each joint, and whether it is determined. A current with the opposite sign
-    has a negative gain. A gain that cannot be determined is set to the median magnitude of the
-    other gains.
+    Returns the gain of each joint, and whether the recordings determine the gain. If a current and
+    its effort have opposite signs, the gain is negative. A gain that cannot be determined is set
+    to the median magnitude of the other gains.
 
     """
     rigid = regression.rigid(bodies)
@@ -255,16 +255,16 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return the factor by which all link efforts differ from the robot description, or None.
+    Return the factor between measured link efforts and the robot description, or None.
 
-    The result is None if the factor is near one, if the joints disagree on it, or if it explains
-    too little of the improvement due to the identified bodies.
+    The result is None if the factor is near one, if the factors of the joints differ, or if a
+    common factor explains too little of the improvement due to the identified bodies.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
     weights, terms = weights_of(left), regression.terms(friction.model)
     drives = friction.used | (np.arange(TERMS) == ARMATURE)
-    for j, used in enumerate(drives):  # remove what drives could explain too
+    for j, used in enumerate(drives):  # remove what drives could also explain
         columns = np.linalg.qr(terms[:, j][:, used])[0]
         for values in (left, rigid):
             values[:, j] -= columns @ (columns.T @ values[:, j])
@@ -288,7 +288,7 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     """
     Estimate the delay of the measured efforts together with all other unknowns.
 
-    The estimate is of first order. The result is the delay that remains in the corrected efforts
+    The estimate is a first-order approximation of the delay that remains in the corrected efforts
     of the regression.
 
     """
@@ -314,7 +314,7 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
 
 
 def _shifted(motion: Motion, delay: float) -> Floats:
-    """Return the efforts of a motion with a delay removed, shape (samples, joints)."""
+    """Remove a delay from the efforts of a motion, and return them, shape (samples, joints)."""
     from scipy.interpolate import CubicSpline
 
     efforts = motion.efforts.copy()
@@ -327,7 +327,7 @@ def _shifted(motion: Motion, delay: float) -> Floats:
 
 
 def _rate(regression: Regression, values: Floats) -> Floats:
-    """Differentiate rows with respect to time, run by run."""
+    """Differentiate rows with respect to time, separately for each motion."""
     rates, first = np.zeros_like(values), 0
     for smooth in regression.resamplers:
         last = first + len(smooth.times)

@@ -1,4 +1,4 @@
-"""Evaluates the fits on unseen data, collects the result, and advises what to record next."""
+"""Evaluates the fits on unseen data, collects the results, and suggests the next recordings."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ _NAMES = {
 }
 _NOT_MOVED = 'it did not move far enough in both directions'
 LEAST_GAIN = 0.01
-"""Fraction by which the identified model has to predict better than fitted friction alone."""
+"""Fraction by which the identified model must reduce the residuals of fitted friction alone."""
 LEAST_EXPLAINED = 0.1
-"""Fraction of the variation of the efforts that the identified model has to explain."""
+"""Fraction of the effort variation that the identified model must explain."""
 
 SHORT = 20.0
-"""If the recordings are shorter than this, the advice is to record for longer [s]."""
+"""If the recordings are shorter than this, a longer recording is suggested [s]."""
 SLOW = 0.2
-"""A joint is slow if it stays below this fraction of its speed limit."""
+"""A joint is slow if it mostly stays below this fraction of its speed limit."""
 FAST_ENOUGH = 0.5
-"""A joint that exceeds this speed need not be faster [rad/s or m/s]."""
+"""A joint that exceeds this speed is fast enough [rad/s or m/s]."""
 LITTLE = 0.5
-"""A mass needs more data if less than this fraction of its information was recorded."""
+"""A mass needs more data if recordings provide less than this fraction of its information."""
 MOST_ADVICE = 4
 """Largest number of suggestions."""
 
@@ -69,8 +69,8 @@ def evaluate(
     """
     Return the result of an identification, evaluated on validation recordings.
 
-    Without validation recordings, each block of the fitted recordings is predicted from the
-    others.
+    Without validation recordings, each block of the fitted recordings is predicted from the other
+    blocks.
 
     """
     problem, identified = data.problem, data.problem.identified
@@ -120,7 +120,7 @@ def evaluate(
 
 
 class Fold(NamedTuple):
-    """Two models that were fitted without one of the blocks."""
+    """Two models, fitted without one of the blocks."""
 
     friction: Model
     identified: Model
@@ -144,7 +144,7 @@ def _evaluations(
     folds: Sequence[Fold],
     validation: Sequence[PreparedRecording],
 ) -> tuple[Unseen, Unseen]:
-    """Return efforts of the training data, and of data that the models have not seen."""
+    """Return efforts of the training data, and efforts of data unseen by the models."""
     training = _efforts(data, data.runs, models, (), 'the training data')
     if validation:
         text = 'recordings that were not used for the fit'
@@ -160,7 +160,7 @@ def _efforts(
     folds: Sequence[Fold],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; fits to the other blocks predict each block."""
+    """Return measured and predicted efforts; if there are folds, each fold predicts its block."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -183,7 +183,7 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; in each block, the models of its fold replace the last `models`."""
+    """Predict all rows; in the rows of a block, the models of its fold replace the last models."""
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
     # The efforts keep their recorded delay, because the models do not contain a delay.
     gains = data.correction.gains
@@ -197,7 +197,7 @@ def _predicted(
 
 
 def _times(regression: Regression) -> Floats:
-    """Return the times of all recordings, one after the other with a second between them."""
+    """Return the times of the rows; successive recordings are one second apart."""
     parts, start = [], 0.0
     for smooth in regression.resamplers:
         times = smooth.times - smooth.times[0] + start
@@ -213,12 +213,12 @@ def _explains(unseen: Unseen) -> bool:
 
 
 def _variation(unseen: Unseen) -> float:
-    """Return the root sum of squares of the standard deviations of the joint efforts."""
+    """Return the norm of the standard deviations of the joint efforts."""
     return float(np.linalg.norm(np.std(unseen.measured, axis=0)))
 
 
 def _is_better(unseen: Unseen) -> bool:
-    """Return whether the identified model is better than friction, in total and per joint."""
+    """Return whether identification beats friction alone in total, and not only in few joints."""
     friction = rms(unseen.measured - unseen.friction)
     identified = rms(unseen.measured - unseen.identified)
     total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))
@@ -304,7 +304,7 @@ def _joint(
 
 
 def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple[str, ...]:
-    """Return the joints that share a drive with a joint, the nearest to the base first."""
+    """Return the joints that share a drive with joint j, in order from the base."""
     names, before = problem.identified.robot.joint_names, problem.before
     others = [int(before[j])] if model.couplings[j] else []
     others += [k for k in np.flatnonzero(model.couplings).tolist() if before[k] == j]
@@ -315,7 +315,7 @@ def _spread(joints: Sequence[Floats]) -> Floats:
     """
     Return jackknife standard errors of the terms, from fits that leave out one block each.
 
-    The errors include changes of the friction between the blocks. With one block, they are zero.
+    The errors include changes of friction between blocks. With one block, all errors are zero.
 
     """
     values = np.array(joints)
@@ -360,7 +360,7 @@ def _bodies(problem: IdentificationProblem, fit: RobotFit) -> tuple[BodyResult, 
         rows = slice(PARAMETERS * k, PARAMETERS * k + 4)
         own = covariance[rows, rows]
         mass, com = float(parameters[0]), parameters[1:4] / parameters[0]
-        # The centre of mass is the ratio of the first moment and the mass.
+        # The centre of mass is the first moment divided by the mass.
         jacobian = np.column_stack([-com, np.eye(3)]) / mass
         before = identified.before[k]
         results.append(
@@ -394,7 +394,7 @@ def _base_parameters(
 
 
 def _fixed(problem: IdentificationProblem) -> tuple[str, ...]:
-    """Return the links with mass that were not identified."""
+    """Return the moving links that have mass and were not identified."""
     identified = problem.identified
     robot = identified.robot
     changed = {link for links in identified.links for link in links}
@@ -418,9 +418,9 @@ def _warnings(
     if problem.currents:
         warnings.append(
             (
-                'gains, masses and friction are known up to one common factor',
-                'the masses of the URDF determine this factor. If they may be wrong, record a run '
-                'with a known payload: --payload MASS,X,Y,Z --link LINK',
+                'gains, masses and friction are known only up to one common factor',
+                'the masses of the URDF determine this factor. If these masses may be wrong, '
+                'record a run with a known payload: --payload MASS,X,Y,Z --link LINK',
             )
         )
         warnings += [
@@ -428,7 +428,7 @@ def _warnings(
                 f'the gain of {names[joint]} cannot be determined: its current hardly depends on '
                 'the modelled effort',
                 'move this joint where gravity acts on it, or with high accelerations. Its gain '
-                'is now the median of the other gains, so that the units of its friction and '
+                'was set to the median of the other gains, so the units of its friction and '
                 'armature are unknown',
             )
             for joint, known in zip(problem.joints, data.correction.is_gain_known, strict=True)
@@ -484,16 +484,16 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
 
 
 def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
-    """Warn if a common factor of all efforts looks like a change of masses."""
+    """Warn if identified masses may only reflect a common factor of all efforts."""
     factor = common_factor(data.regression, fit, friction)
     if data.problem.currents or factor is None:
         return []
     return [
         (
             f'all efforts of the links are {factor:.2f} times those of the robot description',
-            'this factor explains most of the improvement by the identified bodies. Probably, the '
-            'efforts have another unit or gain, and the masses of the robot description are '
-            'right. To find out, weigh a link or record a known payload',
+            'this factor explains most of the improvement due to the identified bodies. The '
+            'efforts probably have a different unit or gain, and the masses of the robot '
+            'description are probably right. To find out, weigh a link or record a known payload',
         )
     ]
 
@@ -502,7 +502,7 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
 
 
 def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
-    """Return suggestions for the next recording; the most useful suggestion comes first."""
+    """Return suggestions for the next recording, starting with the most useful suggestion."""
     problem = data.problem
     robot = problem.identified.robot
     advice = [
@@ -541,6 +541,6 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
 
 
 def _is_first(robot: RobotModel, body: BodyResult) -> bool:
-    """Return whether a body is the first after the base, so that its mass may have no effect."""
+    """Return whether a body is connected directly to the base; its mass may have no effect."""
     number = int(robot.link_body[robot.link_index(body.link)])
     return int(robot.parent[number]) == 0

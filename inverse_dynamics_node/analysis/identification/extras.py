@@ -1,8 +1,8 @@
 """
 Adds terms that few robots need: springs and coupled drives.
 
-Other unknowns may look like a spring or a coupling. Therefore, a term is added only if the whole
-model improves: predictions of blocks that were left out of the fit must be clearly better.
+The effects of other unknowns may resemble a spring or a coupling. Therefore, a term is added only
+if it clearly improves the prediction of blocks that were left out of the fit.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from .fit import Equations, RobotFit, solve
 from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WIDTH
 
 LEAST_GAIN = 0.1
-"""A spring must reduce the squared residuals of predictions for its joint by this fraction."""
+"""A spring must reduce the squared prediction errors of its joint by this fraction."""
 LEAST_GAIN_OF_COUPLING = 0.3
-"""A coupling must reduce the squared residuals by this fraction, averaged over both joints."""
+"""A coupling must reduce the squared prediction errors of two joints by this mean fraction."""
 ERRORS = 3.0
-"""Least mean improvement of the blocks, in standard errors of this mean."""
+"""Least mean improvement over the blocks, in standard errors of the mean."""
 LEAST_RELATION = 0.1
-"""The motion of one coupled joint must explain this fraction of the residual of the other."""
+"""Fraction of a joint's residual that the motion of the coupled joint must explain."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
-"""Couplings from which a fit starts."""
+"""Initial ratios for the fit of a coupling."""
 RATIO_ROUNDS = 3
 WRIST = 3
-"""A wrist consists of the last joints of a chain, at most this many."""
+"""Largest number of joints in a wrist, which is at the end of a chain."""
 INTERSECTION = 2e-3
-"""Axes of joints with a smaller distance are regarded as intersecting [m]."""
+"""Joint axes with a smaller distance are regarded as intersecting [m]."""
 
 
 def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
-    """Return the fit with the most useful extra, or None if no extra improves the prediction."""
+    """Return the fit with the most useful extra term, or None if no extra term is useful."""
     used = fit.used.copy()
     used[:, WIDTH] = moving
     equations = Equations(regression, fit.model)
@@ -44,7 +44,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
     for joints, least, make in _candidates(regression, moving, fit, equations, used):
         try:
             trial = make()
-        except np.linalg.LinAlgError:  # the recordings do not determine the extra
+        except np.linalg.LinAlgError:  # the recordings do not determine the extra term
             continue
         reduction = float(losses.sum() - _fitted_losses(trial).sum())
         relative = reduction / max(float(losses[joints].sum()), 1e-300)
@@ -58,7 +58,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
 def _candidates(
     regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
 ) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
-    """Yield for each extra the joints on which it acts, its least gain, and a fitting function."""
+    """Yield the joints, the required improvement and a fitting function of each extra term."""
     is_continuous = regression.problem.identified.robot.is_continuous[regression.problem.joints]
     for j in np.flatnonzero(moving).tolist():
         if not used[j, SPRING] and not is_continuous[j]:
@@ -78,7 +78,7 @@ def _candidates(
 
 
 def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
-    """Return the fit without useless extras; if all extras are useful, return the fit itself."""
+    """Return the fit without useless extra terms, or the same fit if all terms are useful."""
     used, couplings = fit.used.copy(), fit.model.couplings.copy()
     for j in range(len(used)):
         if fit.used[j, SPRING]:
@@ -98,11 +98,11 @@ def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
 
 def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float) -> bool:
     """
-    Return whether a larger model predicts left-out blocks clearly better than its base.
+    Return whether `fit` predicts left-out blocks clearly better than the smaller model `base`.
 
-    The larger model must reduce the squared residuals of `joints` by the fraction `least`, and
-    improve most of the blocks. A single block, such as the fastest motion, may contain most of the
-    squares.
+    `fit` must reduce the squared residuals of `joints` by the mean fraction `least`. The blocks
+    must improve consistently, because a single block, such as the fastest motion, may contain most
+    of the squared residuals.
 
     """
     try:
@@ -121,9 +121,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
     Return whether the drive of a joint could also turn with the preceding joint.
 
-    Some wrists have such drives: the drive is mounted before both joints, and its gears run
-    through the first joint. A wrist is at the end of a chain. Both joints are revolute, and their
-    axes intersect. Joints that moved in a fixed ratio are excluded: their columns are collinear.
+    In some wrists, the drive is mounted before both joints, and its gears run through the first
+    joint. A wrist is at the end of a chain. Both joints are revolute, and their axes intersect.
+    Joints that moved in a fixed ratio are excluded, because their columns are collinear.
 
     """
     problem = regression.problem
@@ -142,9 +142,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
 
 def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
     """
-    Return the fraction of the residual of one joint that the motion of the other explains.
+    Return how much of one joint's residual the motion of the other joint explains.
 
-    The fraction is computed for both joints, and the larger one is returned.
+    The result is the larger of the fractions for the two joints.
 
     """
     residual = regression.residual(model)
@@ -197,7 +197,7 @@ def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> R
 
 
 def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
-    """Fit without the coupling of a drive."""
+    """Repeat the fit without the coupling of a drive."""
     couplings, used = fit.model.couplings.copy(), fit.used.copy()
     couplings[j], used[j, RATIO] = 0.0, False
     used[[regression.problem.before[j], j], ARMATURE] = True
@@ -206,13 +206,13 @@ def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
 
 
 def _fitted_losses(fit: RobotFit) -> Floats:
-    """Return the weighted squared residuals of each joint in the fitted data."""
+    """Return the weighted squared residuals of each joint in all blocks together."""
     equations = fit.equations
     squares = [equations.squares(fit.model, k) for k in range(equations.block_count)]
     return np.asarray(fit.weights * np.sum(squares, axis=0))
 
 
 def _unseen_losses(fit: RobotFit) -> Floats:
-    """Return squared residuals of joints in blocks left out of the fit, shape (blocks, joints)."""
+    """Return the squared residuals of left-out blocks, shape (blocks, joints)."""
     blocks = range(fit.equations.block_count)
     return np.array([fit.equations.squares(fit.without(k), k) for k in blocks])

@@ -1,12 +1,12 @@
 """
-Fits bodies and joints together with least squares, so that bodies remain physical.
+Fits bodies and joints together by least squares, and keeps all bodies physical.
 
 The objective is the sum of squares plus a divergence for each body. If P is the pseudo-inertia of
 a body and P0 its value in the robot description, their entropic divergence is ``tr(P0^-1 P) - log
-det P`` [1]_. It is convex, finite only for physical bodies, and independent of units and frames.
-The same divergence of single numbers keeps friction and armature positive. The objective is
-self-concordant, so Newton's method converges from any physical start. Blocked cross-validation
-chooses how closely the bodies follow the robot description.
+det P`` [1]_. This divergence is convex, finite only for physical bodies, and independent of units
+and frames, up to a constant. A scalar form of the divergence keeps friction and armature positive.
+The objective is self-concordant, so Newton's method converges from any physical start. Blocked
+cross-validation determines how closely the bodies follow the robot description.
 
 References
 ----------
@@ -36,14 +36,14 @@ With a weight of 1, a mass that the recordings do not determine has a standard e
 EXPECTED_ERROR = 0.3
 """Expected standard deviation of the relative errors of masses in a robot description."""
 ENOUGH = 0.9
-"""A mass may more than double only if at least this fraction of its information was recorded."""
+"""A mass may more than double only if recordings provide this fraction of its information."""
 MOST_GROWTH = 2.0
 """Largest factor by which a mass may grow, unless the recordings determine the mass."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
-"""The minimum is found if the predicted decrease of the objective is smaller than this."""
+"""The solver stops if the squared Newton decrement is smaller than this."""
 _TO_EDGE = 0.95
-"""Largest step, as a fraction of the step after which a body is no longer physical."""
+"""Largest step, as a fraction of the step at which a body becomes unphysical."""
 
 
 class RobotFit(NamedTuple):
@@ -62,13 +62,13 @@ class RobotFit(NamedTuple):
     prior: Prior
 
     def without(self, block: int) -> Model:
-        """Repeat the fit without one of the blocks, and return the model."""
+        """Repeat the fit without one block, and return the model."""
         prior = self.prior.weights
         return solve(self.equations, self.weights, prior, self.used, self.model, block).model
 
 
 def correlation(residual: Floats) -> float:
-    """Return the number of successive rows with as much information as one independent row."""
+    """Return how many successive rows contain as much information as one independent row."""
     values = residual - residual.mean()
     count = len(values)
     spectrum = np.fft.rfft(values, 2 * count)
@@ -82,14 +82,14 @@ def correlation(residual: Floats) -> float:
 
 
 def weights_of(residual: Floats) -> Floats:
-    """Return the weight of each joint: the inverse variance, corrected for dependent samples."""
+    """Return the weight of each joint: the inverse variance, corrected for correlated rows."""
     squares = np.mean(residual**2, axis=0)
     dependent = np.array([correlation(column) for column in residual.T])
     return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
 
 
 class Equations:
-    """Normal equations of every joint and block, for the friction widths and loads of a model."""
+    """Normal equations of each joint and block, at friction widths and gear loads of a model."""
 
     def __init__(self, regression: Regression, model: Model) -> None:
         self.regression = regression
@@ -113,12 +113,12 @@ class Equations:
                     regression.efforts[:, j] - regression.known[:, j],
                 ]
             )
-            self.all.append(table.T @ table)  # also rows that belong to no block
+            self.all.append(table.T @ table)  # includes rows outside the blocks
             parts = [table[regression.block == k] for k in range(self.block_count)]
             self.blocks.append([part.T @ part for part in parts])
 
     def normal(self, weights: Floats, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations; one block may be left out."""
+        """Return matrix and vector of the normal equations; the block `without` is left out."""
         matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
         for j, index in enumerate(self.index):
             gram = self.all[j]
@@ -149,11 +149,11 @@ def solve(
     without: int | None = None,
 ) -> RobotFit:
     """
-    Minimise the weighted squares plus the divergence from the robot description.
+    Minimise the weighted squared residuals plus the divergence from the robot description.
 
-    `weights` are the inverse variances of the joints, corrected for dependent samples.
-    `urdf_weight` contains the weight of the divergence of each body. Terms that are not `used` are
-    zero. The terms in `start` set the scales of positive terms. The block `without` is left out.
+    `weights` are the inverse variances of the joint residuals, corrected for correlated rows.
+    `urdf_weight` contains the divergence weight of each body. Terms that are not `used` are zero.
+    The reference values of positive terms depend on `start`. The block `without` is left out.
 
     """
     identified = equations.regression.problem.identified
@@ -181,13 +181,13 @@ def solve(
 
 def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
     """
-    Return the strongest weight whose prediction is not clearly worse than the best one.
+    Return the strongest weight whose loss is not clearly larger than the smallest loss.
 
-    The second result contains the loss of each weight that was tried: the weighted squared
-    residuals of blocks that were left out of the fit.
+    Each block of the recordings is predicted by a fit to the other blocks. The loss of a weight is
+    the sum of the weighted squared residuals of all blocks. A loss is clearly larger if it exceeds
+    the smallest loss by more than 5 %, or by more than the standard error of the difference.
 
-    Each block of the recordings is predicted by a fit to the other blocks. A prediction is clearly
-    worse if its loss exceeds the smallest loss by more than the standard error of this difference.
+    Returns the chosen weight, and the loss of each weight in `URDF_WEIGHTS`.
 
     """
     equations, weights, used = fit.equations, fit.weights, fit.used
@@ -216,7 +216,7 @@ def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
 def solve_within_reason(
     equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
 ) -> RobotFit:
-    """Solve, and stop masses from growing much if the recordings do not determine them."""
+    """Solve, and limit the growth of masses that the recordings do not determine."""
     before = equations.regression.problem.identified.before[:, 0]
     urdf_weights = np.full(len(before), urdf_weight)
     for _ in range(40):
@@ -232,17 +232,17 @@ def solve_within_reason(
 
 def mass_information(fit: RobotFit) -> Floats:
     """
-    Return the fraction of information about each mass that comes from the recordings.
+    Return, for each mass, the fraction of the information that comes from the recordings.
 
-    The rest comes from the robot description and its expected error. Therefore, the fraction does
-    not depend on the weight of the description in the fit. Efforts of joints that moved in a fixed
-    ratio are ignored, because they cannot be assigned to one of these joints.
+    The rest comes from the robot description. This part depends on the expected error of the
+    description, and not on the weight of the description in the fit. Efforts of joints that moved
+    in a fixed ratio are ignored, because these efforts cannot be assigned to a single joint.
 
     """
     count = len(fit.model.bodies)
     hessian = _without_dependent_joints(fit)
     variances = np.diagonal(np.linalg.inv(hessian))[: 10 * count : 10]
-    # The divergence alone determines a mass with the relative standard error 1 / sqrt(weight).
+    # With the divergence alone, the relative standard error of a mass would be 1 / sqrt(weight).
     total = 1.0 / np.maximum(variances, 1e-300)
     own = fit.prior.weights / fit.model.bodies[:, 0] ** 2
     measured = np.maximum(total - own, 0.0)
@@ -259,7 +259,7 @@ def _without_dependent_joints(fit: RobotFit) -> Floats:
     weights[dependent] = fit.weights[dependent]
     matrix, _ = fit.equations.normal(weights)
     hessian = fit.hessian - matrix[np.ix_(fit.unknowns, fit.unknowns)]
-    # The terms of these joints affect nothing else, and keep a small curvature.
+    # The terms of these joints affect nothing else. A small curvature keeps the matrix invertible.
     diagonal = np.arange(fit.model.bodies.size, len(hessian))
     hessian[diagonal, diagonal] += 1e-6 * np.diagonal(fit.hessian)[diagonal]
     return np.asarray(hessian)
@@ -284,7 +284,7 @@ class Prior:
     """Weights of the divergence of the unknowns that must be positive."""
 
     def value(self, x: Floats) -> float:
-        """Return the divergence; it is infinite if a body is not physical."""
+        """Return the divergence, or inf for unphysical values."""
         matrices = pseudo_inertias(self._bodies(x))
         numbers = x[self.positive]
         if not (numbers > 0.0).all():
@@ -316,7 +316,7 @@ class Prior:
         return gradient, hessian
 
     def longest_step(self, x: Floats, step: Floats) -> float:
-        """Return a factor of a step, at most 1, that keeps all bodies physical."""
+        """Return a factor for a step, at most 1, with which all values stay physical."""
         longest = 1.0
         numbers, change = x[self.positive], step[self.positive]
         if (change < 0.0).any():
@@ -343,10 +343,10 @@ class Prior:
 
 def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tuple[Floats, Floats]:
     """
-    Minimise ``x^T A x / 2 - b^T x`` plus the divergence, from a physical start.
+    Minimise ``x^T A x / 2 - b^T x`` plus the divergence, starting from physical values.
 
-    Returns x, and the Hessian at x, which is the inverse of the covariance. Raises
-    numpy.linalg.LinAlgError if the data determine too little.
+    Returns x and the Hessian at x. The inverse of the Hessian is the covariance of x. Raises
+    numpy.linalg.LinAlgError if the data do not determine all unknowns.
 
     """
     from scipy.linalg import cho_factor, cho_solve
@@ -376,6 +376,6 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
                 break
             length *= 0.5
         else:
-            break  # rounding errors: there is no better point
+            break  # no better point, except for rounding errors
         x, value = x + length * step, trial
     return x, hessian

@@ -1,8 +1,8 @@
 """
 Identifies a robot from recordings.
 
-`identify_parameters` calls the steps of the method in order. Every step returns its own record,
-which later steps read.
+`identify_parameters` performs the steps of the method in order. Later steps use the results of
+earlier steps.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ WIDTH_ROUNDS = 4
 DELAY_ROUNDS = 3
 GAIN_ROUNDS = 5
 LEAST_DELAY = 2e-4
-"""A smaller delay is not removed [s]."""
+"""Smaller delays are not removed [s]."""
 FIRST_URDF_WEIGHT = 1.0
 
 
@@ -52,15 +52,16 @@ def identify_parameters(
     Identify inertial parameters, friction and armature of a robot.
 
     If the recordings contain little information, the result stays close to the robot description.
-    `validation` recordings evaluate the result; without them, blocks of the other recordings are
-    left out of the fit in turn. `gravity` is the free-fall acceleration in the base frame [m/s^2].
-    `payload` is the link, mass [kg] and centre of mass [m] of a known payload in all recordings.
-    The links in `fixed` do not change. `currents` is true if motor currents were recorded in place
-    of efforts; then one gain per joint is estimated. `progress` is called now and then with the
-    fraction that is done, 0 to 1.
+    The result is evaluated on the `validation` recordings or, without validation recordings, on
+    blocks of the other recordings that are left out of the fit in turn. `gravity` is the free-fall
+    acceleration in the base frame [m/s^2]. `payload` contains the link, mass [kg] and centre of
+    mass [m] of a known payload, attached during all recordings. The links in `fixed` do not
+    change. If `currents` is true, motor currents were recorded instead of efforts, and one gain
+    per joint is estimated. `progress` is called regularly with the completed fraction, 0 to 1.
 
-    Raises RecordingError if a recording is not usable, or if the recordings are too short or too
-    uniform. Raises ConfigurationError if a link does not exist, or if nothing is left to identify.
+    Raises RecordingError if a recording is not usable, or if the recordings are too short or
+    contain too little information. Raises ConfigurationError if a link does not exist, or if
+    nothing is left to identify.
 
     """
     joints = measured_joints(robot, recordings)
@@ -98,14 +99,14 @@ def identify_parameters(
 
 
 def with_first_gains(data: TrainingData) -> TrainingData:
-    """Multiply currents by gains that agree with the masses of the robot description."""
+    """Convert currents to efforts, with gains based on the masses of the robot description."""
     before = data.problem.identified.before
     gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
     return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
 
 
 def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return a model with these bodies; all terms of its joints are zero."""
+    """Return a model with the given bodies and without joint terms."""
     m = len(data.problem.joints)
     model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     return JointFit(model, np.zeros((m, TERMS), dtype=bool))
@@ -120,7 +121,7 @@ def fit_friction(data: TrainingData) -> JointFit:
 def fit_in_turn(
     data: TrainingData, fit: JointFit | RobotFit, urdf_weights: Floats, rounds: int = ROUNDS
 ) -> RobotFit:
-    """Choose terms, and fit them together with the bodies; weights follow from the residuals."""
+    """Repeatedly choose joint terms and weights, and fit the terms together with the bodies."""
     for _ in range(rounds):
         start, used = choose_terms(data.regression, fit, data.moving, data.widths)
         weights = weights_of(data.regression.residual(start))
@@ -130,14 +131,14 @@ def fit_in_turn(
 
 
 def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
-    """Add springs and couplings to the fit as long as they improve the prediction."""
+    """Add springs and couplings to the fit while further terms improve the prediction."""
     while (better := with_extra(data.regression, data.moving, fit)) is not None:
         fit = fit_in_turn(data, better, fit.prior.weights, 2)
     return fit
 
 
 def remove_delay(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit, Delay]:
-    """Shift the efforts by their delay if that improves the fit."""
+    """Estimate the delay of the efforts, and remove the delay if the fit improves."""
     delay = Delay(0.0, 0.0)
     for _ in range(DELAY_ROUNDS):
         removed = data.correction.delay
@@ -164,7 +165,7 @@ def _loss(data: TrainingData, fit: RobotFit, weights: Floats) -> float:
 
 
 def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit]:
-    """Fit gains together with all other unknowns, to first order."""
+    """Fit gains together with all other unknowns, in first-order steps."""
     known, used = data.correction.is_gain_known, fit.used
     with_gains = used.copy()
     with_gains[:, GAIN] = known
@@ -180,7 +181,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return a factor for all gains that restores their mean; 1 if a mass is known."""
+    """Return the common factor that restores the mean of the gains, or 1 if a mass is known."""
     problem, known = data.problem, data.correction.is_gain_known
     fixed = problem.identified.fixed_robot()
     if problem.payload is not None or fixed.mass[1:].any() or not known.any():
@@ -189,9 +190,9 @@ def _common_factor(data: TrainingData, change: Floats) -> float:
 
 
 def fit_with_widths(data: TrainingData, fit: RobotFit, urdf_weight: float) -> RobotFit:
-    """Fit with the chosen weight of the robot description, and fit the widths of friction."""
+    """Fit again with the chosen weight of the robot description, including friction widths."""
     fit = fit_in_turn(data, fit, np.full(len(fit.model.bodies), urdf_weight), 2)
-    # Friction widths and couplings are fitted with all other unknowns, to first order.
+    # Friction widths and couplings are fitted with all other unknowns, in first-order steps.
     used = fit.used.copy()
     used[:, WIDTH] = data.moving
     used[:, RATIO] = fit.model.couplings != 0.0

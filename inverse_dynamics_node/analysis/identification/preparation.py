@@ -1,4 +1,4 @@
-"""Prepares recordings as uniform motions of the whole robot, and as rows of a regression."""
+"""Converts recordings to uniform motions of the whole robot, and to rows of a regression."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from .drives import EffortCorrection, widths_to_try
 from .regression import IdentificationProblem, Regression
 
 HIGHEST_RATE = 250.0
-"""Samples per second that are kept; smoothed motions contain no faster changes [Hz]."""
+"""Highest sampling rate that is kept [Hz]; smoothed motions contain no faster changes."""
 STRETCHES = (1.0, 1.5, 2.0)
 """
 Factors of the smoothing window to try.
 
-Twice the shortest window is 0.3 s, or 0.2 s with velocities. With encoder noise of 5e-4 rad at 125
-Hz, this window reduces the error of the model by a sixth. If the window is twice as long, the
-error decreases by less than another hundredth.
+Twice the shortest window is 0.3 s, or 0.2 s with recorded velocities. With encoder noise of 5e-4
+rad at 125 Hz, this window reduced the error of the model by a sixth. A window twice as long
+reduced the error by less than another hundredth.
 """
 CLEAN = 0.05
-"""Acceptable noise of an acceleration, as a fraction of its RMS."""
+"""Acceptable noise of accelerations, as a fraction of the RMS acceleration."""
 LEAST_RANGE = 0.02
 """A joint with a smaller range of positions does not affect the smoothing [rad or m]."""
 SMOOTHING_RANGE = (0.1, 0.4)
 """
 Shortest and longest smoothing window of the fit [s].
 
-With windows of 0.1 to 0.4 s, the errors on unseen data of an industrial arm were the same within
-one percent. With 0.6 s, the errors were 3 % larger, and with 0.8 s, 8 % larger.
+For an industrial arm, all windows from 0.1 to 0.4 s led to the same errors on unseen data, within
+one percent. A window of 0.6 s increased the errors by 3 %, and a window of 0.8 s by 8 %.
 """
 NOISES_IN_WIDTH = 3.0
 """
@@ -47,9 +47,9 @@ BLOCKS = 8
 LEAST_DURATION = 3.0
 """Least duration of the smoothed recordings for an identification [s]."""
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
-"""Least travel of a joint for a fit of its friction: revolute [rad], prismatic [m]."""
+"""Least travel of a joint in each direction to fit friction: revolute [rad], prismatic [m]."""
 LEAST_RETURN = 0.1
-"""Least travel in each of the two directions, as a fraction of the whole travel."""
+"""Least travel of a joint in each direction, as a fraction of the total travel."""
 GOOD_RECORDINGS = (
     'record slow and fast motion of all joints at the same time for 30 s or more; '
     '`inverse_dynamics excite` plans such a motion'
@@ -60,7 +60,7 @@ class PreparedRecording(NamedTuple):
     """One recording, prepared for the regression."""
 
     motion: Motion
-    """Motion of the whole robot; it contains the efforts of the measured joints only."""
+    """Motion of the whole robot, with the efforts of the measured joints only."""
     noise: Floats
     """Noise that remains in the smoothed efforts, shape (joints,) [N m or N]."""
     qd_noise: Floats
@@ -70,7 +70,7 @@ class PreparedRecording(NamedTuple):
 
 
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
-    """Return the joints whose efforts vary in all recordings; raise RecordingError without any."""
+    """Return joints whose efforts vary in all recordings; raise RecordingError if none exists."""
     common = set(range(len(robot.joint_names)))
     for recording in recordings:
         found = set()
@@ -92,12 +92,12 @@ def prepare_all(
     stretch: float | None = None,
 ) -> tuple[list[PreparedRecording], float]:
     """
-    Smooth all recordings with the same window, which is as long as their noise requires.
+    Smooth all recordings with the same window, which is as long as the noise requires.
 
     Efforts of `joints` are used. Joints that were not recorded are assumed to rest at zero.
-    `stretch` multiplies the shortest smoothing window; without a value, the noise of these
-    recordings determines it. Returns the recordings and `stretch`. Raises RecordingError if a
-    recording is too short, or if one of the joints has no measured effort.
+    `stretch` multiplies the shortest smoothing window. If `stretch` is None, the noise of the
+    recordings determines the factor. Returns the prepared recordings and the factor. Raises
+    RecordingError if a recording is too short, or if one of the joints has no measured effort.
 
     """
     turned = [without_turns(robot, each) for each in recordings]
@@ -108,7 +108,7 @@ def prepare_all(
 
 
 def without_noisy_velocities(recording: Recording) -> Recording:
-    """Remove the velocities of joints if their positions give less noisy accelerations."""
+    """Remove the velocities of each joint whose positions give less noisy accelerations."""
     if recording.velocities is None:
         return recording
     measured = derive(recording)
@@ -121,7 +121,7 @@ def without_noisy_velocities(recording: Recording) -> Recording:
 
 
 def _stretch(recording: Recording) -> float:
-    """Return the factor of the smoothing window that keeps the noise of accelerations low."""
+    """Return the factor by which to stretch the smoothing window for less acceleration noise."""
     chosen = STRETCHES[0]
     for stretch in STRETCHES:
         try:
@@ -206,7 +206,7 @@ class TrainingData:
     widths: Floats
     """Widths of Coulomb friction to try, shape (widths, joints) [rad/s or m/s]."""
     least_widths: Floats
-    """Least widths that the node needs for noisy velocities, shape (joints,) [rad/s or m/s]."""
+    """Least widths in the node, due to velocity noise, shape (joints,) [rad/s or m/s]."""
     correction: EffortCorrection
     regression: Regression
     """The smoothed rows with corrected efforts."""
@@ -225,7 +225,7 @@ class TrainingData:
 def training_data(
     problem: IdentificationProblem, runs: Sequence[PreparedRecording]
 ) -> TrainingData:
-    """Collect the rows of the recordings to fit; raise RecordingError if they are too short."""
+    """Collect the rows of the recordings; raise RecordingError if the recordings are too short."""
     motions = [run.motion for run in runs]
     moving = _moving_joints(problem, motions)
     duration = sum(float(np.ptp(motion.times)) for motion in motions)
@@ -252,7 +252,7 @@ def training_data(
 def _smoothing_window(
     problem: IdentificationProblem, motions: Sequence[Motion], moving: Booleans, duration: float
 ) -> float:
-    """Choose a window that does not change the motion; fast motions need a short window."""
+    """Choose a window that hardly changes the motion; fast motions need a short window."""
     ratios = []
     for motion in motions:
         for joint, moves in zip(problem.joints, moving, strict=True):

@@ -28,7 +28,7 @@ from ..recordings.signals import Motion
 RANDOM_STATES = 60
 ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
 EXPORTED = 7
-"""Number of terms of a joint that the node can apply."""
+"""Number of joint terms that the node can apply."""
 WIDTH = 7
 """Index of the column for a small change of the width of Coulomb friction."""
 RATIO = 8
@@ -36,7 +36,7 @@ RATIO = 8
 GAIN = 9
 """Index of the column for a small change of the current gain."""
 TERMS = 10
-"""Number of columns of each joint, besides the columns of the bodies."""
+"""Number of columns for each joint, in addition to the columns of the bodies."""
 OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
 """Terms that depend on the motion of the drive, which may also turn with the preceding joint."""
 SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
@@ -50,8 +50,8 @@ class IdentifiedBodies:
     """
     The bodies to identify: moving bodies with mass, except links that must not change.
 
-    Links that fixed joints hold together are one body. The links of a body cannot be
-    distinguished, so the links that may change are identified together.
+    Links that are connected by fixed joints form one body. Recordings cannot distinguish the links
+    of a body, so all links of the body that may change are identified together.
 
     """
 
@@ -59,20 +59,20 @@ class IdentifiedBodies:
     bodies: tuple[int, ...]
     """Indices of the identified bodies in the robot."""
     links: tuple[tuple[int, ...], ...]
-    """Links of each identified body that have mass and may change."""
+    """For each identified body, the links that have mass and may change."""
     names: tuple[str, ...]
-    """Name of each body, taken from its link nearest to the joint."""
+    """Name of each body, which is the name of its first link in `links`."""
     before: Floats
-    """Parameters of the robot description about the frames of the bodies, shape (bodies, 10)."""
+    """Parameters in the robot description, relative to the body frames, shape (bodies, 10)."""
     reference: Floats
-    """Parameters of the description, adapted so that each body has an extent in all directions."""
+    """The same parameters, changed so that each body extends in all directions."""
 
     def fixed_robot(self) -> RobotModel:
-        """Return the robot with the fixed bodies only; all other bodies are massless."""
+        """Return the robot with massless identified links; the other links are unchanged."""
         return self.robot_with(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
-        """Return the robot with these parameters for the identified bodies, shape (bodies, 10)."""
+        """Return the robot with new parameters of the identified bodies, shape (bodies, 10)."""
         robot = self.robot
         mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
         for k, b in enumerate(self.bodies):
@@ -86,10 +86,10 @@ class IdentifiedBodies:
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
-        Distribute physical parameters of bodies, shape (bodies, 10), to the links of the bodies.
+        Distribute the parameters of physical bodies, shape (bodies, 10), to the links.
 
-        Returns the inertial of each link in its own frame. One linear map of space and density
-        changes all links of a body, so each link remains physical.
+        Returns the inertial of each link in the link frame. All links of a body are changed by one
+        linear map of space and density, so each link remains physical.
 
         """
         inertials = {}
@@ -99,7 +99,7 @@ class IdentifiedBodies:
             if len(parts) == 1:
                 changed = [after]
             else:
-                # The change that made the body physical is added to its first link.
+                # The change from `before` to `reference` is added to the first link of the body.
                 parts[0] = parts[0] + pseudo_inertias(self.reference[k] - self.before[k])
                 change = transport(pseudo_inertias(self.reference[k]), after)
                 changed = [change @ part @ change.T for part in parts]
@@ -142,7 +142,7 @@ def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> Identif
 
 
 def _link_parameters(robot: RobotModel, link: int) -> Floats:
-    """Return the parameters of one link about the frame of its body, shape (10,)."""
+    """Return the parameters of one link relative to the frame of its body, shape (10,)."""
     own = RigidBody(robot.link_mass[link], robot.link_com[link], robot.link_inertia[link])
     placed = own.rotate(robot.link_rotation[link]).shift(robot.link_position[link])
     assert placed.mass > 0.0
@@ -155,7 +155,7 @@ class IdentificationProblem:
 
     `joints` are the joints with measured efforts. `gravity` is the free-fall acceleration in the
     base frame [m/s^2]. `payload` is the link, mass and centre of mass of a known payload.
-    `currents` is true if motor currents were recorded in place of efforts.
+    `currents` is true if motor currents were recorded instead of efforts.
 
     """
 
@@ -204,13 +204,13 @@ class IdentificationProblem:
 
 
 def _joints_before(robot: RobotModel, joints: Sequence[int]) -> Integers:
-    """Return the list position of the joint before each listed joint; -1 if it is not listed."""
+    """For each joint in a list, return the list index of the preceding joint, or -1."""
     before = joints_before(robot)[list(joints)]
     return np.array([list(joints).index(k) if k in joints else -1 for k in before.tolist()])
 
 
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
-    """Return which bodies a joint moves, as positions in the list of bodies."""
+    """Return the bodies that a joint moves, as indices in the list of bodies."""
     moved = np.zeros(len(robot.parent), dtype=bool)
     for body in range(1, len(moved)):
         moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
@@ -227,14 +227,14 @@ class Model:
     bodies: Floats
     """Inertial parameters of the identified bodies, shape (bodies, 10)."""
     joints: Floats
-    """Factors of the columns of `Regression.terms`, shape (joints, 10), from armature to gain."""
+    """Factors of the columns of `Regression.terms`, from armature to gain, shape (joints, 10)."""
     widths: Floats
     """Speeds over which Coulomb friction is smoothed, shape (joints,) [rad/s or m/s]."""
     couplings: Floats
-    """Turn of each drive per turn of the joint before it, shape (joints,)."""
+    """Rotation of each drive per rotation of the preceding joint, shape (joints,)."""
 
     def with_fitted_shapes(self) -> Model:
-        """Apply the fitted changes of widths and couplings within bounds, and return the model."""
+        """Return the model with bounded fitted changes applied to the widths and couplings."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         most = 0.5 * np.abs(self.couplings)
@@ -243,7 +243,7 @@ class Model:
         return Model(self.bodies, joints, self.widths + change, couplings)
 
     def scaled(self, factor: float) -> Model:
-        """Return the model with all efforts multiplied by a factor; its gain changes are zero."""
+        """Return the model with all efforts multiplied by a factor, and without gain changes."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
         joints[:, GAIN] = 0.0
@@ -256,7 +256,7 @@ class Model:
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
     def springs(self, q: Floats) -> Floats:
-        """Return the efforts of springs, which include their offsets, shape (samples, joints)."""
+        """Return the efforts of springs including the spring offsets, shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
         return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
@@ -267,8 +267,8 @@ class Regression:
 
     `seconds` is the length of the smoothing window, and `block_count` the approximate number of
     contiguous blocks. `efforts` are the measured efforts; `qdd`, `qd` and `q` are the columns of
-    armature, damping and springs. All of them have the shape (rows, joints). `block` is the number
-    of the block that contains each row, or -1 for rows at the borders of blocks.
+    armature, damping and springs. All four have the shape (rows, joints). `block` contains the
+    number of each row's block, or -1 for rows at the borders of blocks.
 
     """
 
@@ -289,7 +289,7 @@ class Regression:
         self.block = self._blocks(block_count)
 
     def with_efforts(self, efforts: Sequence[Floats]) -> Regression:
-        """Return the regression with other measured efforts of every motion."""
+        """Return the regression with other measured efforts for each motion."""
         other = copy(self)
         other.efforts = self._smooth(efforts)
         return other
@@ -301,12 +301,12 @@ class Regression:
 
     @cached_property
     def known(self) -> Floats:
-        """Efforts of bodies that are not identified, shape (rows, joints)."""
+        """Efforts of links that are not identified, shape (rows, joints)."""
         fixed = self.problem.identified.fixed_robot()
         return self._smooth([self.problem.efforts(fixed, motion) for motion in self.motions])
 
     def rigid(self, bodies: Floats) -> Floats:
-        """Return the efforts of a robot with these bodies, shape (rows, joints)."""
+        """Return the efforts of a robot with the given bodies, shape (rows, joints)."""
         if 'bodies' in self.__dict__:
             return np.asarray(self.known + self.bodies @ bodies.ravel())
         robot = self.problem.identified.robot_with(bodies)
@@ -361,7 +361,7 @@ class Regression:
 
     def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
         """
-        Return the columns of terms, with the joint on which the terms act.
+        Return the columns of the joint terms for each joint on which the terms act.
 
         The terms of a joint act on the joint itself. The terms of a coupled drive also act on the
         preceding joint. Each tuple contains the joint on which the terms act, the joint that owns
@@ -378,7 +378,7 @@ class Regression:
         return found
 
     def shared(self, model: Model) -> Floats:
-        """Return the efforts of coupled drives on the joints before them, shape (rows, joints)."""
+        """Return the efforts of coupled drives on preceding joints, shape (rows, joints)."""
         efforts = np.zeros_like(self.qd)
         for joint, owner, columns in self.actions(model):
             if joint != owner:
@@ -387,7 +387,7 @@ class Regression:
 
     @cached_property
     def together(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of joints that always moved in a fixed ratio, as positions in the joint list."""
+        """Groups of joints that always moved in a fixed ratio, as indices in the joint list."""
         spread = self.qd.std(axis=0)
         moved = np.flatnonzero(spread > 1e-6 * spread.max())
         if len(moved) < 2:
@@ -416,7 +416,7 @@ class Regression:
         return np.concatenate([smooth.discontinuous(values) for smooth, values in pairs])
 
     def _blocks(self, count: int) -> Integers:
-        """Return the block of every row; blocks have equal durations and share no rows."""
+        """Return the block of each row, or -1 at borders; blocks have similar durations."""
         durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in self.motions]
         numbers: list[Integers] = []
         first = 0

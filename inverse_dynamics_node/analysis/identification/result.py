@@ -1,4 +1,4 @@
-"""The result of an identification, also as a URDF and as parameters of the node."""
+"""Holds the result of an identification, and exports a URDF and parameters of the node."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Residuals:
     """RMS of measured minus modelled efforts [N m or N]."""
 
     urdf: float
-    """Residual of the robot description as it is, without friction."""
+    """Residual of the unchanged robot description, without friction."""
     friction: float
-    """Residual of the robot description with fitted friction and offset."""
+    """Residual of the robot description with fitted friction and offsets."""
     identified: float
     """Residual of the model with identified bodies and joints."""
 
@@ -41,15 +41,15 @@ class DriveTerms:
     armature: float = 0.0
     """Armature [kg m^2 or kg]."""
     coupling: float = 0.0
-    """Turn of the drive per turn of the preceding joint [-]."""
+    """Rotation of the drive per rotation of the preceding joint [-]."""
     stiffness: float = 0.0
     """Stiffness of a spring or counterweight [N m/rad or N/m]."""
     rest: float = 0.0
     """Position at which the spring exerts no effort [rad or m]."""
     offset: float = 0.0
-    """Offset of the effort [N m or N]; 0 if there is a spring, because it contains the offset."""
+    """Offset of the effort [N m or N]; 0 for a joint with a spring, which contains the offset."""
     errors: dict[str, float] = field(default_factory=dict)
-    """Standard errors by name of the term; terms that were not identified have none."""
+    """Standard errors of the identified terms, by name."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,12 @@ class JointResult:
 
 @dataclass(frozen=True, eq=False)
 class BodyResult:
-    """Identification result of one body: a link, or several links joined by fixed joints."""
+    """Identification result of one body: a link, or several links connected by fixed joints."""
 
     link: str
-    """First link of the body that has mass."""
+    """First of the `links`."""
     links: tuple[str, ...]
-    """All links of the body that have mass and are identified."""
+    """Identified links of the body."""
     mass_before: float
     """Mass in the robot description [kg]."""
     mass: float
@@ -98,22 +98,22 @@ class BodyResult:
     com: Floats
     com_error: Floats
     data_fraction: float
-    """Fraction of the information about the mass that comes from the recordings."""
+    """How much of the information about the mass comes from the recordings, as a fraction."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """Measured and predicted efforts on data that the models were not fitted to."""
+    """Measured and predicted efforts on data that were not used to fit the models."""
 
     times: Floats
-    """Times of the samples, shape (samples,) [s]; recordings follow each other."""
+    """Times of the samples in successive recordings, shape (samples,) [s]."""
     measured: Floats
     urdf: Floats
     friction: Floats
     identified: Floats
     description: str
     smoothing: float
-    """Window over which the efforts were smoothed [s]."""
+    """Length of the smoothing window [s]."""
     unsmoothed: Floats
     """RMS residual of the identified model without smoothing, shape (joints,) [N m or N]."""
 
@@ -127,25 +127,25 @@ class IdentificationResult:
     calibrated: RobotModel
     """Robot with the identified bodies, or the robot description if the model was not accepted."""
     accepted: bool
-    """Whether the identified model predicts unseen data better than friction alone."""
+    """Whether the identified model predicts unseen data better than fitted friction alone."""
     verdict: str
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
     fixed: tuple[str, ...]
-    """Moving links with mass that were not identified."""
+    """Moving links that have mass and were not identified."""
     inertials: dict[str, RigidBody]
-    """New inertial of each changed link, in the link frame; none if the model was not accepted."""
+    """New inertial of each changed link, in its frame; empty if the model was not accepted."""
     unseen: Unseen
     urdf_weight: float
     """Weight of the robot description in the fit."""
     trials: dict[float, float]
-    """Loss on unseen blocks for each weight of the robot description that was tried."""
+    """Loss on unseen blocks for each tried weight of the robot description."""
     delay: float
-    """Time by which measured efforts are late [s]; the fit removed the part `delay_removed`."""
+    """Delay of the measured efforts [s], of which the fit removed `delay_removed`."""
     delay_error: float
     delay_removed: float
     smoothing: float
-    """Window over which efforts and columns were smoothed for the fit [s]."""
+    """Length of the smoothing window for efforts and columns in the fit [s]."""
     sample_count: int
     duration: float
     """Duration of the recordings [s]."""
@@ -155,11 +155,11 @@ class IdentificationResult:
     """
     Name, value and standard error of each base parameter.
 
-    A base parameter combines several inertial parameters, and is named after one of these. All
-    inertial parameters are about the frame of the joint.
+    A base parameter combines several inertial parameters, and is named after one of them. All
+    inertial parameters are relative to the joint frame.
     """
     warnings: tuple[tuple[str, str], ...]
-    """Pairs of a warning and a hint."""
+    """Warnings, each with a hint."""
     advice: tuple[str, ...]
     """Suggestions for the next recording."""
 
@@ -168,8 +168,8 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
     """
     Return the robot description with identified inertials and friction.
 
-    `path_or_xml` is the robot description that was calibrated. The result differs only in the
-    numbers of changed inertials and of friction. If no model was accepted, only friction differs.
+    `path_or_xml` is the original robot description. Only the numbers of inertials and of friction
+    are changed. If the model was not accepted, only friction is changed.
 
     """
     robot = result.robot
@@ -178,7 +178,7 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
         for joint in result.joints
         if not joint.unknown_because
     }
-    # The fitted friction includes the friction of joints that mimic.
+    # The fitted friction includes the friction of mimic joints.
     for body in range(1, len(robot.parent)):
         name = robot.body_names[body]
         master = robot.joint_names[int(robot.joint_index[body])]
@@ -198,11 +198,11 @@ _EXTRAS = {
     'spring_stiffness': 'stiffness',
     'spring_rest': 'rest',
 }
-"""Parameters of the node that are written only if a joint needs them."""
+"""Node parameters that are written only if a joint needs them, with the names of the terms."""
 
 
 def identified_parameters(result: IdentificationResult) -> str:
-    """Return friction, armature, springs and offsets as parameters of the node, in YAML."""
+    """Return friction, armature, springs and offsets as node parameters in YAML."""
     joints = result.joints
 
     def known(name: str, unknown: float) -> list[float]:

@@ -31,7 +31,7 @@ class Bag:
         self._reader = reader
 
     def find_topic(self, name: str) -> str | None:
-        """Return the full name of a topic; slashes at the ends of the given name are optional."""
+        """Return the full name of a topic, or None; leading and trailing slashes are optional."""
         matches = (topic for topic in self.types if topic.strip('/') == name.strip('/'))
         return next(matches, None)
 
@@ -43,10 +43,10 @@ class Bag:
         self, topic: str, progress: Callable[[float], None] = lambda fraction: None
     ) -> Iterator[tuple[int, Any]]:
         """
-        Yield the time of recording [ns] and the message, for each message of a topic in order.
+        Yield the recording time [ns] and the content of each message of a topic, in order.
 
-        `topic` is the full name. `progress` is called regularly with the fraction read so far,
-        0 to 1. Raise RecordingError if the recording is damaged.
+        `topic` is the full name of the topic. `progress` is called regularly with the fraction
+        read so far, 0 to 1. Raise RecordingError if the recording is damaged.
         """
         count = max(1, self.message_count(topic))
         connections = self._connections(topic)
@@ -56,7 +56,7 @@ class Bag:
                 if k % _PROGRESS_INTERVAL == 0:
                     progress(k / count)
                 yield time, self._reader.deserialize(data, connection.msgtype)
-        except Exception as error:  # the decoders raise many types for damaged data
+        except Exception as error:  # decoders raise various exceptions for damaged data
             raise _damaged(self.path, error) from None
         progress(1.0)
 
@@ -86,7 +86,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader.open()
     except (AnyReaderError, OSError) as error:
         raise RecordingError(f'{path}: cannot be read as a rosbag2 recording: {error}') from None
-    except Exception as error:  # the decoders raise many types for damaged data
+    except Exception as error:  # decoders raise various exceptions for damaged data
         raise _damaged(path, error) from None
     try:
         yield Bag(path, reader)
@@ -118,10 +118,10 @@ def read_csv(
     """
     Read a CSV file with a column `time` and columns `<joint>.<quantity>`.
 
-    A column `<joint>` holds the first of the quantities, such as 'position'. The file may also
-    have columns of joints that the robot does not have. With `allow_empty`, empty cells are read
-    as NaN. Raise RecordingError if there is no column `time` or a cell is not a number, and
-    OSError if the file cannot be opened.
+    A column `<joint>` contains the first of the quantities, such as 'position'. The file may also
+    contain columns of joints that the robot does not have. With `allow_empty`, empty cells are
+    read as NaN. Raise RecordingError if the column `time` is missing or if a cell is not a number.
+    Raise OSError if the file cannot be opened.
     """
     try:
         with path.open(newline='', encoding='utf-8-sig') as file:
@@ -165,7 +165,7 @@ def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -
             f'{where} has {len(row)} values, but the header has {len(header)} columns'
         )
     try:
-        return list(map(float, row))  # nearly always, and fast
+        return list(map(float, row))  # fast, and nearly always successful
     except ValueError:
         numbers = []
     for cell, name in zip(row, header, strict=True):
@@ -179,7 +179,7 @@ def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -
 def _missing_time(
     header: Sequence[str], joint_names: Sequence[str], quantities: Sequence[str]
 ) -> str:
-    """Return which columns are expected, and which were found."""
+    """Describe the expected columns and the columns that were found."""
     problem, found = "has no column 'time'", list(header)
     separator = next((mark for mark in ';\t' if len(header) == 1 and mark in header[0]), None)
     if separator:

@@ -16,7 +16,7 @@ from .signals import Recording
 
 _QUANTITIES = ('position', 'velocity', 'effort')
 _FIRST_MESSAGES = 100
-"""Number of messages of each topic that are searched for efforts."""
+"""Number of messages at the start of each topic in which efforts are searched."""
 
 
 def read_measured_states(
@@ -29,13 +29,13 @@ def read_measured_states(
     """
     Read the joint states of a robot from a rosbag2 folder, or an .mcap, .db3 or .csv file.
 
-    The topic has type sensor_msgs/msg/JointState; default: the only topic with efforts. `progress`
-    is called regularly with the fraction read so far, 0 to 1. `mimic_names` are joints of the
-    robot with positions that follow from other joints.
+    `topic` has the type sensor_msgs/msg/JointState; the default is the only topic with efforts.
+    `progress` is called regularly with the fraction read so far, 0 to 1. `mimic_names` are joints
+    of the robot that mimic other joints.
 
-    Return the recording, and sentences about ignored and missing data. The recorded joints are in
-    the order of ``joint_names``, and the times start at zero. Joints that the robot does not have
-    are ignored. Raise RecordingError if the recording is unreadable or has no effort of the robot.
+    Return the recording, and notes about ignored and missing data. The recorded joints are in the
+    order of ``joint_names``, and the times start at zero. Joints that the robot does not have are
+    ignored. Raise RecordingError if the recording is unreadable or has no effort of the robot.
     """
     if not path.exists():
         raise RecordingError(f'{path}: no such file or folder, expected a recording')
@@ -150,7 +150,7 @@ def _from_messages(
     stamped_and_received = np.array(stamps)
     is_stamped = bool(stamped_and_received[:, 0].any())
     nanoseconds = stamped_and_received[:, 0 if is_stamped else 1]
-    # Subtract integers: seconds since 1970 as a float resolve less than a microsecond.
+    # Subtract integers, because seconds since 1970, as a float, are only exact to 0.2 us.
     times = 1e-9 * (nanoseconds - nanoseconds[0])
     recording, notes = _recording(where, times, np.array(rows), joint_names, recorded, mimic_names)
     if not is_stamped:

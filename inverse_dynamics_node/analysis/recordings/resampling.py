@@ -17,7 +17,7 @@ from .signals import Motion
 DEGREE = 3
 """Degree of the smoothing polynomials."""
 ROWS_PER_WINDOW = 8
-"""Rows in each smoothing window; more rows would add no information."""
+"""Number of rows per smoothing window; more rows would add no information."""
 
 
 class Resampler(NamedTuple):
@@ -37,7 +37,7 @@ class Resampler(NamedTuple):
         return _apply(self.of_smooth, values)
 
     def discontinuous(self, values: Floats) -> Floats:
-        """Smooth signals to which the smoothing of the motion was not yet applied."""
+        """Smooth signals that were not smoothed with the motion."""
         return _apply(self.of_discontinuous, values)
 
 

@@ -27,25 +27,25 @@ Window [s] and degree of the polynomial, for one and two differentiations. At 3 
 attenuate accelerations by 0.2 % and 0.5 %. Two differentiations of encoder noise of 1e-4 rad at
 500 Hz lead to acceleration noise of 0.05 rad/s^2.
 """
-MIN_SLACK = 4  # samples of the window beyond the degree; with fewer, nothing is smoothed
+MIN_SLACK = 4  # window samples beyond the degree; with fewer, nothing is smoothed
 MIN_RATE = 20.0  # [Hz]; accelerations cannot be derived from slower recordings
 GAP = 5.0  # periods without a sample; signals are not interpolated across a gap
 DUPLICATE = 0.25  # periods; samples that are closer together are duplicates
 JUMP_BACK = 10.0  # periods; samples are sorted if their stamps go back by less
-MAX_DIFFERENCE = 0.5  # fraction of the RMS by which velocities may differ from derived ones
+MAX_DIFFERENCE = 0.5  # RMS difference from derived velocities, as a fraction of their RMS
 MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not checked
 
 MAX_LAG = 0.5  # [s]; larger lags are not searched for
-MIN_LAG = 0.01  # [s]; at 1 Hz, this lag is an error of 6 % of the accelerations
+MIN_LAG = 0.01  # [s]; at 1 Hz, this lag leads to acceleration errors of 6 %
 LAG_EXPLAINS = 0.25  # a lag must leave at most this fraction of the squared difference
-FINEST = 0.005  # [s] between compared lags; the best lag is interpolated
+FINEST = 0.005  # [s]; spacing of compared lags, before interpolation
 MAX_SHAPE = 0.2  # largest relative difference between a shifted velocity and the derived one
 
 CUTOFFS = (1.0, 8.0)  # [Hz]; filters with a higher cut-off hardly affect smoothed efforts
 STEEP = 35.0  # [dB] over two octaves; steeper than Coulomb friction (12) and noise (0)
-PASSED = 1e-4  # of the largest power; a signal with less power was removed
-STILL_FALLING = 20.0  # [dB] from above the cut-off to the highest octave; noise is flat
-OUTLIERS = 1.4826  # standard deviation of a normal distribution over its median deviation
+PASSED = 1e-4  # fraction of the largest power; below this, the signal was removed
+STILL_FALLING = 20.0  # [dB] of further decrease, up to the highest octave; noise is flat
+OUTLIERS = 1.4826  # ratio of standard deviation to median deviation, if normally distributed
 
 
 class Recording(NamedTuple):
@@ -53,7 +53,7 @@ class Recording(NamedTuple):
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Time stamps, shape (k,) [s]; with possible jitter, gaps and duplicates."""
+    """Time stamps, shape (k,) [s]; jitter, gaps and duplicates are possible."""
     positions: Floats
     """Positions, shape (k, m) [rad or m]; NaN if missing in a message."""
     velocities: Floats | None
@@ -76,7 +76,7 @@ class Motion(NamedTuple):
     efforts: Floats
     """Efforts, shape (K, m) [N m or N]; NaN for joints without measured effort."""
     window: int
-    """Number of samples in the smoothing window; samples within a window are dependent."""
+    """Number of samples in the smoothing window; samples within a window are correlated."""
     degree: int
     """Degree of the smoothing polynomials."""
     joint_names: tuple[str, ...] = ()
@@ -89,15 +89,15 @@ class Motion(NamedTuple):
     qdd_noise: Floats = np.zeros(0)
     """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
     lags: Mapping[str, float] = MappingProxyType({})
-    """Lags of recorded velocities behind positions, by joint [s]; such velocities are not used."""
+    """Lags of recorded velocities behind positions, by joint [s]; late velocities are not used."""
     cut_off: float = math.inf
-    """Frequency above which the spectrum of the efforts is empty, as after a filter [Hz]."""
+    """Frequency above which the spectrum of the efforts is empty due to a filter [Hz]."""
     raw_efforts: Floats = np.zeros((0, 0))
     """Efforts before smoothing, shape (K, m) [N m or N]."""
     qd_noise: Floats = np.zeros(0)
     """
     Noise of the recorded velocities, including their resolution, shape (m,) [rad/s or m/s]. For
-    joints without recorded velocities, noise of the derived velocities.
+    joints without recorded velocities, this is the noise of the derived velocities.
     """
 
     @property
@@ -121,9 +121,9 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     Smooth all signals of a recording, and derive missing velocities and all accelerations.
 
     `stretch` multiplies the length of the smoothing window, for noisy recordings of slow motions.
-    Half a window is removed from the motion at the start, at the end and around gaps. Raise
-    RecordingError if shapes differ, a joint has no position, time goes back, or the recording is
-    too short or too slow.
+    Half a window is removed at the start, at the end, and on both sides of each gap. Raise
+    RecordingError if shapes differ, if a joint has no position, if time goes back, or if the
+    recording is too short or has too low a sampling rate.
     """
     times = _checked(recording)
     columns = [RecordedColumn(recording, times, j) for j in range(len(recording.joint_names))]
@@ -214,8 +214,8 @@ def _orders(
     """
     Return how often to differentiate each column.
 
-    Consistent velocities are differentiated once; otherwise positions are differentiated twice.
-    Return also the names of columns with inconsistent velocities, and the lags of velocities [s].
+    Consistent velocities are differentiated once; otherwise, positions are differentiated twice.
+    Also return the names of columns with inconsistent velocities, and the lags of velocities [s].
     """
     from scipy.signal import savgol_filter
 
@@ -300,14 +300,14 @@ def _noise(
 
     def derived(values: Floats, order: int) -> float:
         derivative = savgol_coeffs(window, degree, deriv=order, delta=period)
-        # The filter attenuates white noise by the square root of its weight in the middle.
+        # The filter multiplies white noise by the square root of its centre weight.
         return float(np.linalg.norm(derivative)) / math.sqrt(centre) * noise(values)
 
     if column.qd is None:
         velocity = derived(column.at(column.q, grid), 1)
     else:
         recorded = column.at(column.qd, grid)
-        # At rest, a velocity may alternate between two steps of its resolution.
+        # At rest, a velocity may alternate between two adjacent values.
         velocity = math.hypot(noise(recorded) / math.sqrt(centre), resolution(column.qd))
     source = column.qd if order == 1 and column.qd is not None else column.q
     effort = noise(column.at(column.tau, grid)) if column.has_effort else math.nan
@@ -320,7 +320,7 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
     elif set(orders) == {2}:
         source = 'the recorded positions, differentiated twice'
     else:
-        source = 'recorded velocities where they agree with the positions, else from positions'
+        source = 'recorded velocities that agree with the positions, otherwise from positions'
     return (
         f'accelerations derived from {source}, with a Savitzky-Golay filter of degree {degree} '
         f'over {window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); '
@@ -408,7 +408,7 @@ class RecordedColumn:
         b = int(np.searchsorted(self.t, grid[-1] + 1e-9)) + 1
         inside = slice(a, b)
         t = self.t[inside]
-        # A knot beyond a gap would distort the spline near the last samples before it.
+        # A knot beyond a gap would distort the spline near the last samples before the gap.
         near = (t >= grid[0] - 1e-9) & (t <= grid[-1] + self.period)
         return np.asarray(CubicSpline(t[near], values[inside][near])(grid))
 
@@ -429,7 +429,7 @@ def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
 
 def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float:
     """
-    Estimate the standard deviation of white noise that remains after smoothing with polynomials.
+    Estimate the standard deviation of the white noise left after smoothing with polynomials.
 
     `centre_weight` is the filter's weight of the middle sample. This weight is also the sum of all
     squared weights, because the filter is a projection. The resolution of the signal is a lower
@@ -444,7 +444,7 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
 def resolution(values: Floats) -> float:
     """Return the step between quantised values; 0 if nearly all values differ."""
     levels = np.unique(values)
-    # A quantised signal repeats its values, and each step is a multiple of the smallest one.
+    # A quantised signal repeats its values, and all steps are multiples of the smallest step.
     if len(levels) < 3 or len(levels) > 0.2 * len(values):
         return 0.0
     steps = np.diff(levels)
@@ -460,7 +460,7 @@ def lag(recorded: Floats, derived: Floats, period: float) -> float:
 
     The lag is zero if no lag explains the difference. The period is the time between samples [s].
     """
-    # The signals are smooth: fewer samples contain the same information.
+    # The signals are smooth, so fewer samples contain the same information.
     every = max(1, round(FINEST / period))
     recorded, derived, period = recorded[::every], derived[::every], every * period
     most = min(round(MAX_LAG / period), len(recorded) // 4)
@@ -520,5 +520,5 @@ def _passed(frequencies: Floats, power: Floats) -> float:
         if ((frequencies >= f) & (frequencies < 2.0 * f)).any()
     ]
     largest = max(value for _, value in octaves)
-    # The middle of the octave.
+    # The geometric mean of the two ends of the octave.
     return float(max(f for f, value in octaves if value > PASSED * largest) * math.sqrt(2.0))

@@ -17,13 +17,13 @@ from . import style
 
 _BINS = 80
 _HALF = 0.42
-"""A distribution extends at most this many row heights above and below the middle of its row."""
+"""Largest extent of a distribution above and below the middle of its row [row heights]."""
 _REACH = 1.12
 """The effort axis ends at this multiple of the worst effort, on both sides."""
 _MAX_RATIO = 1.2
-"""Bars that are longer than this multiple of the limit are cut."""
+"""Bars are cut at this multiple of the limit."""
 _NEGLIGIBLE = 1e-6
-"""Efforts smaller than this fraction of the largest one are rounding errors."""
+"""Efforts smaller than this fraction of the largest effort are rounding errors."""
 _MOST_BESIDE_ONE_VIEW = 14
 """With more joints than this, there is room for a second view of the robot."""
 _MOST_NUMBERS = 12
@@ -41,7 +41,7 @@ def draw(
     source: str,
     path: Path,
 ) -> None:
-    """Draw efforts and robot side by side, and write the picture; `source` names the URDF."""
+    """Draw the efforts beside the robot, and write the picture; `source` names the URDF."""
     count = len(workspace.robot.joint_names)
     height = min(40.0, max(4.6, 1.9 + 0.27 * count))
     with style.styled_pyplot() as pyplot:
@@ -68,7 +68,7 @@ def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[
 
 
 def _draw_efforts(axes: Any, workspace: Workspace) -> None:
-    """Draw one row per joint: the distribution of its efforts, with its own scale."""
+    """Draw the distribution of each joint's efforts; every joint has its own row and scale."""
     names = workspace.robot.joint_names
     peaks = workspace.peaks
     is_zero = peaks <= _NEGLIGIBLE * np.max(peaks)
@@ -98,7 +98,7 @@ def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
         counts / max(1, int(np.max(counts)))
     )  # the square root keeps the tails visible
     ends, outline = np.repeat(edges, 2)[1:-1], np.repeat(half, 2)
-    # One shape is fast: separate bars for hundreds of joints take a minute.
+    # One shape is fast: separate bars for hundreds of joints would take a minute.
     axes.fill_between(ends, row - outline, row + outline, color=colour, alpha=0.45, linewidth=0)
 
 
@@ -146,8 +146,8 @@ def draw_arm(
     """
     Draw the robot from the side, with gravity pointing down.
 
-    One joint is highlighted, and the link that carries the payload is marked. View 0 is the side
-    on which the robot is widest; view 1 is turned by 90 degrees.
+    One joint is highlighted, and the link that carries the payload is marked. View 0 is from the
+    side where the robot looks widest; view 1 is turned by 90 degrees.
     """
     robot = dynamics.robot
     rotations, positions = body_frames(robot, q)
@@ -208,7 +208,7 @@ def _draw_structure(
         ends = flat[[robot.parent[body], body]]
         axes.plot(*ends.T, color=style.GREY, linewidth=3.5, solid_capstyle='round', zorder=2)
     for body in set(range(1, len(robot.parent))) - set(robot.parent.tolist()):
-        if robot.mass[body] > 0.0:  # the end of the link is unknown: draw to its centre of mass
+        if robot.mass[body] > 0.0:  # the end is unknown: use the centre of mass
             axes.plot(
                 *np.array([flat[body], centres[body]]).T, color=style.GREY, linewidth=1.5, zorder=1
             )

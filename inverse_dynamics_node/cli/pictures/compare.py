@@ -11,11 +11,11 @@ from ...report.diagnosis_text import amount
 from . import style
 
 _MOST_ROWS = 10
-"""With more joints than this, every joint has a small picture instead of a row."""
+"""With more joints than this, every joint has a small panel instead of a row."""
 _ACROSS = 3
 _POINTS = 1500
 _NAME_LETTERS = 18
-"""Largest number of letters in a name above a small picture."""
+"""Largest number of letters in a name above a small panel."""
 
 
 def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
@@ -37,7 +37,7 @@ def _labels(result: ComparisonResult) -> list[str]:
 
 
 def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
-    """Draw a row for each joint: efforts and their difference."""
+    """Draw a row for each joint, with the efforts and their difference."""
     count = len(result.joints)
     figure, axes = pyplot.subplots(
         count,
@@ -72,7 +72,7 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 
 
 def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
-    """Draw a small picture for each joint, with efforts only."""
+    """Draw a small panel for each joint, with efforts only."""
     count = len(result.joints)
     rows = -(-count // _ACROSS)
     figure, axes = pyplot.subplots(
@@ -98,7 +98,7 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 
 
 def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
-    """Draw the measured effort as a wide line, and the modelled efforts on top of this line."""
+    """Draw the measured efforts as a wide line, with the modelled efforts on top."""
     times = result.motion.times
     signals = (
         (result.measured, {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),

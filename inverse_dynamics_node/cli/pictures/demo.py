@@ -1,4 +1,4 @@
-"""The pictures of `demo`: a run with its events, and the errors before and after `calibrate`."""
+"""The pictures of `demo`: a run with its events, and the errors before and after a calibration."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ...simulation.demo.scenarios import Timeline
 from . import style
 
 MOST_POINTS = 1500
-LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
+LEAST_ERROR = 0.01  # [mrad, mm]: the error axis spans at least +- this error
 ACROSS = 115  # letters that fit on a line above the axes
-LEGEND, KEY = 120, 8  # width of the legend, and of a line sample in it [letters]
+LEGEND, KEY = 120, 8  # widths of the legend, and of a line sample in the legend [letters]
 JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
 """Line styles; together with the colours, they distinguish 35 joints."""
 MOST_IN_ONE = 10
-"""With more joints than this, the efforts of each joint have their own row."""
+"""With more joints than this, the efforts of each joint have a separate row."""
 LEAST_FRACTION = 1e-3
-"""Smallest scale of a joint: a fraction of its limit, or else of the largest effort."""
+"""Smallest scale of an effort, relative to the limit or, if there is none, the largest effort."""
 LINE = 0.19  # height of a line of text [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -69,7 +69,7 @@ def _look(i: int) -> dict[str, Any]:
 
 
 def _largest(history: History) -> Floats:
-    """Return the largest magnitude of the commanded effort of each joint [N m or N]."""
+    """Return the largest magnitude of each joint's commanded effort [N m or N]."""
     largest: Floats = np.max(np.abs(np.nan_to_num(history.commands.rows)), axis=0, initial=0.0)
     return largest
 
@@ -116,8 +116,8 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
     """
     Draw all commanded efforts, even while joint states are missing; each joint has its own scale.
 
-    Efforts without a limit, or far below their limit, are therefore legible. The legend or the
-    label of the row states the largest effort and the limit.
+    Efforts that have no limit or are far below their limit are therefore legible. Each
+    joint's largest effort and limit are in the legend or, with one row per joint, beside the row.
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)
@@ -132,7 +132,7 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
             axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
         axes.set_yticks(range(count), labels, fontsize=8)
         axes.set_ylim(count - 0.4, -0.6)
-        axes.set_title('commanded efforts; labels give the largest', fontsize=9, loc='left')
+        axes.set_title('commanded efforts; labels state the largest', fontsize=9, loc='left')
         return
     for i, label in enumerate(labels):
         axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
@@ -169,7 +169,7 @@ def _shade(axes: Any, timeline: Timeline, history: History) -> None:
 
 
 def _explain(axes: Any, timeline: Timeline) -> None:
-    """Write each event above the first panel, at the time at which the event begins."""
+    """Describe each event in a line above the first panel, at the time when the event begins."""
     words = [timeline.begins, *(event.words for event in timeline.events)]
     end = axes.get_xlim()[1]
     for i, (time, text) in enumerate(zip(_edges(timeline), words, strict=True)):
@@ -224,7 +224,7 @@ def _draw_errors(axes: Any, history: History, names: tuple[str, ...]) -> None:
 
 
 def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats]) -> None:
-    """Draw the errors of every joint as two bars, with the ratio as text."""
+    """Draw both errors of every joint as bars, and their ratio as text."""
     before, after = (1000.0 * values for values in errors)
     places = np.arange(len(names))
     axes.barh(places - 0.18, before, 0.34, color=style.ORANGE, label='RMS with the URDF')

@@ -24,7 +24,7 @@ _LABELS = {'inertial': 'inertia', 'coriolis': 'velocity'}
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
 """Largest number of letters in a name above a panel, for each number of columns."""
 _NEGLIGIBLE = 1e-6
-"""Efforts smaller than this fraction of the largest one are rounding errors."""
+"""Efforts smaller than this fraction of the largest effort are rounding errors."""
 _MOST_DRAWN = 1500
 """Largest number of states to draw; more states would not be visible."""
 
@@ -81,13 +81,13 @@ def _draw_joint(
 
     limit, peak = float(requirements.effort_limits[k]), abs(float(requirements.peak[k]))
     low, high = axes.get_ylim()
-    # Distant limits would flatten the curves; the title shows them.
+    # Distant limits would flatten the curves, and are therefore only in the title.
     if limit < 2.5 * peak:
         for end in (-limit, limit):
             if low - limit < end < high + limit and end * requirements.peak[k] >= 0.0:
                 axes.axhline(end, color=style.RED, linestyle='--', linewidth=1.2)
     if peak <= _NEGLIGIBLE * float(np.max(np.abs(requirements.peak))):
-        axes.set_ylim(-1.0, 1.0)  # rounding errors only
+        axes.set_ylim(-1.0, 1.0)  # the efforts are only rounding errors
         peak = 0.0
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
     words = style.peak_in_words(peak, limit, unit)
@@ -98,7 +98,7 @@ def _draw_joint(
 
 
 def _shown(fine: Trajectory, requirements: EffortRequirements, k: int) -> Any:
-    """Select the states to draw: evenly spaced ones, and the peak."""
+    """Select the states to draw: evenly spaced states and the peak."""
     count = len(fine.times)
     if count <= _MOST_DRAWN:
         return slice(None)

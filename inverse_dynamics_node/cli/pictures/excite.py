@@ -112,7 +112,7 @@ def _draw_view(
 
 
 def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) -> None:
-    """Draw the boxes, and the floor if the view shows the height."""
+    """Draw the obstacles and, in views that show the height, the floor."""
     if up == 2 and np.isfinite(clearance.floor):
         axes.axhline(clearance.floor, color=style.DARK, linewidth=1.2, zorder=0)
     for lowest, highest in clearance.boxes[:, :, [across, up]]:
@@ -121,7 +121,7 @@ def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) ->
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
-    """Return a label, and efforts in percent of their limits (without a limit, of their peak)."""
+    """Return a label, and efforts in percent of the limit or, if there is none, of the peak."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
     of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'

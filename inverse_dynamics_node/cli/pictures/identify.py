@@ -1,4 +1,4 @@
-"""The picture of `identify`: residuals, masses, and the efforts of three models in unseen data."""
+"""The picture of `identify`: residuals, masses, and efforts of three models for unseen data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 
 
 def draw(result: IdentificationResult, source: str, path: Path) -> None:
-    """Draw efforts, residuals and masses, and write them as a picture."""
+    """Draw efforts, residuals and masses, and write the picture."""
     shown = _shown(result)
     with style.styled_pyplot() as pyplot:
         height = max(4.6, 1.3 + 1.15 * len(shown))

@@ -1,4 +1,4 @@
-"""The picture of `payload`: the measured efforts of the payload, and the fitted ones."""
+"""The picture of `payload`: the measured and the fitted efforts of the payload."""
 
 from __future__ import annotations
 

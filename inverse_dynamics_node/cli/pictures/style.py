@@ -1,4 +1,4 @@
-"""The style of the pictures, which are legible in a README and for colour-blind readers."""
+"""The style that makes pictures legible in a README and for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
 _DASHES = ('-', '--', ':', '-.')
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 WIDTH = 9.0
-"""Width of a picture [inch]; at 100 dots per inch the text is legible in a README."""
+"""Width of a picture [inch]; at 100 dots per inch, the text is legible in a README."""
 DPI = 100
 _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
 _TITLE_LINES = 5
-"""Largest number of lines in the title; an ellipsis takes the place of further lines."""
+"""Largest number of lines in the title; an ellipsis replaces further lines."""
 
 _HOW_TO_GET_PICTURES = (
     "To get pictures, run 'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a "

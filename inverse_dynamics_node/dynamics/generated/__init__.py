@@ -1,1 +1,1 @@
-"""Code generated for one robot; no other module of the package imports it."""
+"""Generates code for one robot; the other modules do not depend on this part."""

@@ -2,10 +2,10 @@
 Code generation for one robot.
 
 The equations are not repeated here. The functions of `newton_euler` and `mass_matrix` run once, on
-symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction instead of computing.
+symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction, and computes nothing.
 Constants of the robot (parents, joint types, rotations, offsets) remain plain numbers. Loops and
-branches over constants are therefore resolved, and products with zero disappear. The result is
-straight-line code.
+branches that depend only on constants are therefore resolved, and products with zero disappear.
+The result is straight-line code.
 
 Numbers that may change at run time are read from the robot table at each call. The code omits
 numbers that were zero when it was generated. `GeneratedDynamics` detects when such a number
@@ -31,14 +31,14 @@ if IS_COMPILED:
 
 
 class Code(NamedTuple):
-    """The functions that `write_out` compiles; their status is as in `inverse_dynamics`."""
+    """The functions that `write_out` compiles; they return the status of `inverse_dynamics`."""
 
     in_block: Callable[[], int]
     in_arrays: Callable[[Any, Any, Any, Any], int]
 
 
 def acting_numbers(table: Floats) -> Any:
-    """Return a mask of the numbers that may change between calls and are nonzero now."""
+    """Return a mask of the numbers that are nonzero, and may change between calls."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
         robot_table.MASS,
@@ -57,9 +57,9 @@ def write_out(table: Floats, block: Floats) -> Code:
     """
     Compile `newton_euler.inverse_dynamics` for one robot.
 
-    ``table`` is from `robot_table`. ``block`` contains the rows q, qd, qdd and tau for
-    `Code.in_block`, one number per joint. The two arrays must exist as long as the code, which
-    contains their addresses.
+    ``table`` is from `robot_table`. The rows of ``block`` are q, qd, qdd and tau for
+    `Code.in_block`, with one number per joint. The two arrays must exist as long as the code,
+    because the code contains their addresses.
 
     """
     n = block.shape[1]
@@ -99,7 +99,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
     Compile `mass_matrix.mass_matrix` for one robot, as a function of q and the matrix.
 
     At each call, the code reads those numbers of the table that ``acting`` marks. The table must
-    exist as long as the code, which contains its address.
+    exist as long as the code, because the code contains its address.
 
     """
     n = int(table[0, robot_table.JOINT_COUNT])
@@ -127,7 +127,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
 
 
 def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any]]:
-    """Return the rows of a table; numbers that the mask marks are loaded at run time."""
+    """Return the rows of a table; numbers that ``acting`` marks are loaded at run time."""
     base = writer.integer(table.ctypes.data)
     robot: list[list[Any]] = table.tolist()
     for i, k in np.argwhere(acting):
@@ -142,7 +142,7 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Copy the functions of the passes, so that the copies emit instructions with the writer."""
+    """Copy the functions of the passes; the copies emit instructions with the writer."""
     # The inputs are checked too, because omitted products with zero do not propagate NaN or inf.
     zero_if_finite = sum(x - x for x in inputs)
 
@@ -165,7 +165,7 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
 
 class RunTimeNumber:
     """
-    A number that is known only at run time: arithmetic on it emits an instruction.
+    A number that is known only at run time; arithmetic on this number emits an instruction.
 
     Sums with 0, and products with 0 or 1, emit no instruction. A `RunTimeNumber` never equals a
     plain number. Where `newton_euler` compares such a number with zero, the code takes the branch

@@ -16,7 +16,7 @@ from .codegen import acting_numbers, Code, write_out, write_out_mass_matrix
 
 
 class State(NamedTuple):
-    """Arrays of shape (n,) for one state of n joints, to be written in place."""
+    """One state of n joints in arrays of shape (n,) that are overwritten in place."""
 
     q: Floats
     """Joint positions [rad or m]."""
@@ -37,7 +37,7 @@ def no_code(*_: Any) -> int:
 
 
 NO_CODE = Code(no_code, no_code)
-NO_CODE_WARNING = 'no code could be generated, InverseDynamics is used instead: {!r}'
+NO_CODE_WARNING = 'no code could be generated; InverseDynamics is used instead: {!r}'
 
 
 class GeneratedDynamics:
@@ -55,24 +55,24 @@ class GeneratedDynamics:
     Parameters
     ----------
     dynamics : InverseDynamics
-        Dynamics with typical values of all loads that the loop will set.
+        Dynamics with typical values of all loads that the control loop will set.
 
     Attributes
     ----------
     state : State
-        Named tuple of the arrays ``q, qd, qdd, tau`` for `update`, of shape (n,) for n joints.
+        Named tuple of the arrays ``q, qd, qdd, tau`` for `update`, each of shape (n,).
 
     Notes
     -----
-    Creating an object takes a few tenths of a second. Code is always compiled, because the code
-    contains array addresses. The first call of `mass_matrix` compiles again; make this call before
-    the loop.
+    Creating an object takes a few tenths of a second. Code is compiled for every object and never
+    cached, because the code contains array addresses. The first call of `mass_matrix` compiles
+    more code; make this call before the control loop starts.
 
     """
 
     def __init__(self, dynamics: InverseDynamics) -> None:
         block = np.zeros((4, len(dynamics.robot.joint_names)))
-        # While views of the block exist, numpy cannot resize it, and its address is constant.
+        # While views of the block exist, numpy cannot resize it, so its address is constant.
         self.state = State(*block)
         self._tau = self.state.tau
         self._dynamics = dynamics
@@ -91,7 +91,7 @@ class GeneratedDynamics:
 
     def update(self) -> Floats:
         """
-        Compute the efforts of ``state.q, state.qd, state.qdd``: the fastest call from Python.
+        Compute the efforts for the state in ``state``; this is the fastest call from Python.
 
         Returns
         -------
@@ -132,7 +132,7 @@ class GeneratedDynamics:
 
     def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
         """
-        Compute the mass matrix; the first call compiles.
+        Compute the mass matrix; the first call compiles code.
 
         Parameters, result and errors are those of `InverseDynamics.mass_matrix`.
 

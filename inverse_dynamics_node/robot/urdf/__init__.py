@@ -1,4 +1,4 @@
-"""Loads a `RobotModel` from a URDF: read, parse, check, strip, evaluate, merge."""
+"""Loads a `RobotModel` from a URDF in six steps: read, parse, check, strip, evaluate, merge."""
 
 from .loader import load_urdf
 

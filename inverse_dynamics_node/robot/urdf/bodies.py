@@ -24,7 +24,7 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """A joint position that follows another: ``multiplier * position of master + offset``."""
+    """Rule of a mimic joint: its position is ``multiplier * position of master + offset``."""
 
     master: str
     multiplier: float
@@ -76,8 +76,8 @@ def build_model(
     """
     Merge links into bodies, and resolve mimic joints.
 
-    ``links`` and ``joints`` form one tree, and are in file order. Warnings about joints that move
-    no mass are added to ``warnings``.
+    ``links`` and ``joints`` form one tree, and are in file order. The warnings of the
+    model are ``warnings``, and warnings about joints that move no mass.
 
     """
     root, bodies, placements = _place(links, joints)
@@ -167,7 +167,7 @@ def _merge(
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
-    """Make every mimic joint follow a joint that does not mimic another one."""
+    """Make every mimic joint follow a joint that is not a mimic joint itself."""
     by_name = {joint.name: joint for joint in joints}
     resolved: dict[str, Mimic] = {}
     for start in by_name.values():
@@ -190,9 +190,10 @@ def _folded_friction(
     """
     Return damping and friction of the joints, including those of their mimic joints.
 
-    A mimic joint with multiplier m moves m times as fast as its master, and m times its effort
-    acts on the master. Viscous friction is therefore multiplied by m squared. Coulomb friction
-    has the same size at all speeds, and always opposes the motion. Its factor is therefore |m|.
+    A mimic joint with multiplier m moves m times as fast as its master. The effort of the mimic
+    joint, times m, adds to the effort of the master. The viscous friction of a mimic joint is
+    therefore multiplied by m squared. Coulomb friction does not depend on the speed, and always
+    opposes the motion. The Coulomb friction of a mimic joint is therefore multiplied by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)
@@ -204,7 +205,7 @@ def _folded_friction(
 
 
 def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[ModelWarning]:
-    """Warn about joints that move no mass: their gravity effort is zero in every position."""
+    """Return warnings about joints that move no mass, and thus have no gravity efforts."""
     if not bodies:
         text = 'no joint can move: there is no effort to compute'
         return [ModelWarning(text, 'check that this is the whole robot: every joint is fixed')]

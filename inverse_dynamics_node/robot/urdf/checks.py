@@ -1,7 +1,7 @@
 """
-Checks a URDF before its numbers are used: each element, and the tree of links.
+Checks the elements and the link tree of a URDF before its numbers are used.
 
-All errors are collected. Each error contains its line, its element, and the value found.
+All errors are collected. Each error contains the line, the element and the value found.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def _check_size(root: Element, problems: Problems) -> None:
 
 
 def _by_name(root: Element, kind: str) -> dict[str, Element]:
-    """Return the elements of a kind by name; only the first one if several have the same name."""
+    """Return the elements of a kind by name; a repeated name refers to the first element."""
     found: dict[str, Element] = {}
     for element in root:
         if tag(element) == kind and element.get('name'):
@@ -192,7 +192,7 @@ def check_mimic_loops(joints: Mapping[str, Element], problems: Problems) -> None
 
 
 def _only_child(element: Element, kind: str) -> Element | None:
-    """Return the first child of a kind."""
+    """Return the first child of a kind, or None."""
     return next((child for child in element if tag(child) == kind), None)
 
 
@@ -230,7 +230,7 @@ _FRACTION_ALIKE = 0.8
 
 
 def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> None:
-    """Warn about equal masses and inertias that an exporter or a person filled in."""
+    """Warn about equal masses or inertias, which are probably placeholders."""
     masses: dict[str, float] = {}
     tensors: dict[str, tuple[float, ...]] = {}
     for name, link in links.items():
@@ -245,7 +245,7 @@ def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> No
     if count < _FEWEST_ALIKE:
         return
     alike = _with_most_common_value(tensors)
-    # Equal modules of a chain also have equal masses, but different principal moments.
+    # Identical modules of a chain have equal inertias and masses, but are not spheres.
     ixx, ixy, ixz, iyy, iyz, izz = tensors[alike[0]]
     is_sphere = ixx == iyy == izz and not (ixy or ixz or iyz)
     are_different = len({masses[name] for name in alike}) > 1
@@ -269,7 +269,7 @@ def _with_most_common_value(values: Mapping[str, tuple[float, ...]]) -> list[str
 
 
 def _numbers_of(link: Element, kind: str, names: Sequence[str]) -> tuple[float, ...] | None:
-    """Return numbers from the inertial of a link, or None if one of them is not a number."""
+    """Return numbers from the inertial of a link, or None if a number is missing or invalid."""
     part = link.find(f'inertial/{kind}')
     if part is None:
         return None

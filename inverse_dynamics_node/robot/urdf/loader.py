@@ -1,5 +1,5 @@
 """
-Loads a `RobotModel` from a URDF: read, parse, check, strip, evaluate, merge.
+Loads a `RobotModel` from a URDF in six steps: read, parse, check, strip, evaluate, merge.
 
 The file is checked before yourdfpy reads the values, because yourdfpy is tolerant: it repairs
 broken XML, fills in missing inertias, and checks neither types nor references.
@@ -42,7 +42,7 @@ def load_urdf(
         mark may precede the ``<``.
     on_missing_inertial : {'warn', 'refuse'}
         Whether a link with a shape but without ``<inertial>`` causes a warning or an error. The
-        root link never causes one.
+        root link causes neither.
 
     Returns
     -------
@@ -61,8 +61,8 @@ def load_urdf(
     Notes
     -----
     The conventions are those of urdfdom, the parser of ROS. Lower and upper limits default to 0,
-    and the axis defaults to x. An effort or velocity limit of 0 means that the limit is unknown;
-    the limit becomes infinite. Versions 1.0 to 1.2 of the format are supported. The attribute
+    and the axis defaults to x. An effort or velocity limit of 0 means that the limit is unknown,
+    and becomes infinite. Versions 1.0 to 1.2 of the format are supported. The attribute
     ``quat_xyzw`` of an origin needs version 1.1 or later.
 
     """
@@ -76,7 +76,7 @@ def load_urdf(
     if problems.errors:
         raise UrdfError(problems.errors, source.name)
     links, joints = _values(_stripped(root))
-    # A number that is too large becomes infinite, which _overflows reports with its name.
+    # Numbers that are too large become infinite; `_overflows` reports the affected values.
     with np.errstate(all='ignore'):
         robot = build_model(root.get('name'), links, joints, [*warnings, *problems.warnings])
     overflows = _overflows(robot)
@@ -146,7 +146,7 @@ def _joint(joint: Any) -> Joint:
         upper=(limit.upper or 0.0) if is_bounded else math.inf,
         velocity=(limit and limit.velocity) or math.inf,
         effort=(limit and limit.effort) or math.inf,
-        # yourdfpy leaves these two as text.
+        # yourdfpy does not convert damping and friction to numbers.
         damping=float((dynamics and dynamics.damping) or 0.0),
         friction=float((dynamics and dynamics.friction) or 0.0),
         mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),

@@ -24,7 +24,7 @@ SUPPORTED_TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
 
 VERSIONS = ('1.0', '1.1', '1.2')
 """
-Versions of the URDF format that are accepted, as in urdfdom 6.
+Accepted versions of the URDF format, as in urdfdom 6.
 
 Version 1.1 added quaternions and capsules. Version 1.2 added limits that inverse dynamics does not
 need.
@@ -53,13 +53,13 @@ CHILDREN = {
         'safety_controller',
     ),
 }
-"""Child elements that the dynamics need. Each may occur once; links and joints may repeat."""
+"""Child elements that the dynamics need; only links and joints may occur more than once."""
 
 READ_ONCE = 'origin'
 """If a parent has several elements of this kind, only the first one is used."""
 
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
-"""Child elements of a fixed joint that are checked; other elements have no meaning there."""
+"""Child elements that are checked in a fixed joint; other elements have no meaning there."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Rule:
     required: tuple[str, ...] = ()
     not_negative: tuple[str, ...] = ()
     is_open: bool = False
-    """Whether unlisted attributes are allowed; if not, such an attribute is probably misspelt."""
+    """Whether unlisted attributes are allowed; otherwise, they are probably misspelt."""
 
 
 def _scalars(*names: str) -> dict[str, int]:
@@ -200,7 +200,7 @@ def check_children(
 def warn_if_misspelt(
     element: Element, where: str, kinds: tuple[str, ...], problems: Problems
 ) -> None:
-    """Warn if the name of an element differs from a URDF name only in upper and lower case."""
+    """Warn if the name of an element differs from a URDF name only in case."""
     kind = tag(element)
     if kind not in kinds and kind.lower() in kinds:
         text = f'<{kind}> is ignored; URDF spells it <{kind.lower()}>'
@@ -210,7 +210,7 @@ def warn_if_misspelt(
 def check_attributes(
     element: Element, where: str, problems: Problems
 ) -> dict[str, tuple[float, ...]]:
-    """Check the attributes of an element; return the numbers of the valid ones."""
+    """Check the attributes of an element; return the numbers in valid attributes."""
     kind = tag(element)
     rule = RULES[kind]
     values: dict[str, tuple[float, ...]] = {}
@@ -251,14 +251,14 @@ def _missing(kind: str, names: list[str]) -> str:
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...] | str:
-    """Return the numbers in a text, or a message if they are not valid."""
+    """Return the numbers in a text, or an error message if the text is invalid."""
     words = text.split() if text.isascii() else [text]
     if count > 1 and len(words) != count:
         hint = ' (use spaces, not commas)' if ',' in text else ''
         return f'expected {count} numbers, got {len(words)} in {quoted(text)}{hint}'
     wrong = [word for word in words if not is_finite_decimal(word)]
     if wrong or len(words) != count:
-        # If there are several words, quote only the wrong one, which is easier to find.
+        # If several numbers are expected, quote only the first wrong word.
         shown = wrong[0] if count > 1 else text
         return f'{quoted(shown)} is not a finite decimal number'
     return tuple(float(word) for word in words)
@@ -298,7 +298,7 @@ def _check_quaternion(
 ) -> None:
     version = version_of(origin)
     if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
-        # In these files, urdfdom ignores the attribute, and therefore the rotation.
+        # For these versions, urdfdom ignores the attribute, and therefore the rotation.
         text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; or write rpy'
         problems.error(origin, f'{where}: {text}')
     if 'rpy' in origin.attrib:
@@ -320,7 +320,7 @@ def _check_quaternion(
 _MOMENT_TOLERANCE = 1e-3
 """Tolerated violation of the triangle inequality, as a fraction of the sum of the moments."""
 _MAX_GYRATION = 10.0
-"""Largest plausible radius of gyration [m]; above it, the inertia is not in kg m^2."""
+"""Largest plausible radius of gyration [m]; a larger radius indicates wrong units of inertia."""
 
 _TENSOR_HINT = (
     'take the inertia about the centre of mass from CAD, in kg m^2; the inertia affects only '
@@ -329,7 +329,7 @@ _TENSOR_HINT = (
 
 
 def check_link(link: Element, problems: Problems) -> None:
-    """Check the <inertial> of a link, if it has one."""
+    """Check the optional <inertial> of a link."""
     where = label(link)
     inertial = check_children(link, where, CHILDREN['link'], problems).get('inertial')
     if inertial is None:
@@ -496,7 +496,7 @@ def _check_range(
 def check_mimic(
     joint: Element, mimic: Element, joints: Mapping[str, Element], problems: Problems
 ) -> None:
-    """Check that the joint that is mimicked exists and can move."""
+    """Check that the mimicked joint exists, can move, and is not the mimic joint itself."""
     where, master = label(joint), mimic.get('joint')
     if master is None or is_xacro(master):
         return

@@ -28,8 +28,8 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
     Read the collision shapes of a robot, and the mesh files that they name.
 
     The argument must be a description that `load_urdf` accepts. The first result contains the
-    shapes that can be read. If a shape of a link cannot be read, the second result contains the
-    reason under the name of the link.
+    shapes that can be read. The second result maps names of links that have an unreadable shape to
+    the reasons.
 
     """
     source = read_source(path_or_xml)
@@ -65,7 +65,7 @@ def _shape(link: str, collision: Element, folder: Path | None) -> Shape:
 
 def _mesh(solid: Element, folder: Path | None) -> Any:
     """Return the triangles of a solid; the vertices of round solids lie on the surface."""
-    import trimesh  # takes a third of a second
+    import trimesh  # takes a third of a second to import
 
     kind = tag(solid)
     if kind == 'box':
@@ -98,7 +98,7 @@ def _mesh_file(name: str, folder: Path | None) -> Path:
         for parent in folder.parents if folder else ():
             paths += [parent / rest, *([parent / inside] if parent.name == package else [])]
         if folder:
-            # The folder of a checkout may have another name than the package.
+            # The folder of a checkout may not have the name of the package.
             paths += [parent / inside for parent in (folder, *folder.parents)]
     for path in paths:
         if path.is_file():

@@ -37,7 +37,7 @@ class Friction(NamedTuple):
 
 @dataclass
 class _Node:
-    """An element, and the positions of its tags, counted in bytes of the text."""
+    """An element, and the positions of its tags in the text, in bytes."""
 
     kind: str
     attributes: dict[str, str]
@@ -59,12 +59,12 @@ def rewrite(
     friction: Mapping[str, Friction],
 ) -> bytes:
     """
-    Replace inertials and friction in a URDF that `load_urdf` has accepted; return the text.
+    Replace inertials and friction in a URDF that `load_urdf` has accepted; return the new text.
 
     ``inertials`` maps names of links to new bodies, in the frames of the links. An existing
     inertial frame keeps its axes. ``friction`` maps names of joints to new friction. A missing
-    ``<dynamics>`` is added. The result has the encoding of the original, and numbers with 17
-    digits.
+    ``<dynamics>`` is added. The result has the encoding of the original. New numbers have 17
+    significant digits.
 
     """
     source = read_source(path_or_xml)
@@ -163,7 +163,7 @@ def _friction_edits(
 
 
 def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int, bytes]:
-    """Insert lines at the end of an element, indented like its other children."""
+    """Return an edit that inserts lines after an element's children, with the same indentation."""
     outer = _indent(text, parent.start)
     inner = outer + _INDENT if outer else b''
     if parent.children:
@@ -186,7 +186,7 @@ def _indent(text: bytes, start: int) -> bytes:
 
 
 def _attributes(text: bytes, node: _Node, values: Mapping[str, str]) -> tuple[int, int, bytes]:
-    """Replace the values of attributes, and add missing attributes."""
+    """Return an edit that replaces the values of attributes, and adds missing attributes."""
     tag = text[node.start : node.tag_end]
     for name, value in values.items():
         pattern = rb'(\s' + name.encode() + rb'\s*=\s*)(?:"[^"]*"|\'[^\']*\')'

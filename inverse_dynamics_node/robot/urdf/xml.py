@@ -17,10 +17,10 @@ Element = Any
 """An lxml element; lxml has no type annotations."""
 
 MAX_BYTES = 16 * 2**20
-"""Largest size: ten times the largest real robot description. Parsing this much takes seconds."""
+"""Largest size, ten times that of the largest real robot description; parsing takes seconds."""
 
 MAX_LINKS = 1000
-"""Largest number of links, several times more than the largest real robots have."""
+"""Largest number of links, several times that of the largest real robots."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -61,7 +61,7 @@ def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
 
 
 def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
-    """Read at most `MAX_BYTES` + 1 bytes of a file; return them, and the size of the file."""
+    """Read at most `MAX_BYTES` + 1 bytes of a file; also return the size of the file."""
     if not isinstance(os.fspath(path), str):
         raise TypeError(f'expected a path or XML text as str, got {type(path).__name__}')
     name = shortened(os.fspath(path), 250)
@@ -70,7 +70,7 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
         if stat.S_ISDIR(status.st_mode):
             raise UrdfError(['is a directory, expected a URDF file'], name)
         if not stat.S_ISREG(status.st_mode):
-            # Opening a pipe would wait for a writer, and a device may never end.
+            # Opening a pipe would wait for a writer, and reading a device may never end.
             raise UrdfError(['is not a regular file'], name)
         with open(path, 'rb') as file:
             data = file.read(MAX_BYTES + 1)
@@ -88,7 +88,7 @@ def shortened(text: str, length: int = 80) -> str:
 
 
 def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
-    """Parse XML into the <robot> element and warnings; raise UrdfError for an invalid document."""
+    """Parse XML; return the <robot> element and warnings, or raise a UrdfError."""
     source, warnings = _without_odd_declaration(source)
     try:
         parser = _hardened_parser(source.encoding)
@@ -134,7 +134,7 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
         dtd_validation=False,
         attribute_defaults=False,
         no_network=True,
-        huge_tree=False,  # keeps libxml2's limits on depth and amplification
+        huge_tree=False,  # keeps libxml2's limits on depth and entity expansion
         remove_comments=True,
         remove_pis=True,
     )
@@ -159,7 +159,7 @@ def blank_declaration(data: bytes) -> bytes:
 
 
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Blank out an XML declaration that only libxml2 rejects; also return a warning."""
+    """Blank out an XML declaration that only libxml2 rejects; return the source and a warning."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []

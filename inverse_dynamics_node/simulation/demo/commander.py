@@ -28,7 +28,7 @@ from ...ros.qos import BEST_EFFORT, LATCHED
 from ..trajectory import Reference
 from .demo_setup import KD, KP
 
-SILENT = 0.05  # [s]: after this time without joint states, time follows the machine's clock
+SILENT = 0.05  # [s]: after this time without joint states, `now` follows the machine's clock
 
 
 class Series:
@@ -60,11 +60,11 @@ class Series:
 
 
 class History:
-    """The motion of n joints and the commands of the node; times start with the motion [s]."""
+    """The motion of n joints and the commands of the node; times begin with the motion [s]."""
 
     def __init__(self) -> None:
         self.states = Series()
-        """Positions, desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
+        """Positions and desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
         self.commands = Series()
         """Commanded efforts [N m or N]; one value per commanded joint in each row."""
         self.external = Series()
@@ -79,7 +79,7 @@ class History:
         Return the rate [Hz] of the commands since ``begin``, a time on the steady clock [s].
 
         The rate is the slope of a line fitted to the arrivals. A burst of commands after a pause
-        hardly changes this slope. The number of commands divided by the time would include
+        hardly changes this slope. Simply dividing the number of commands by the time would include
         commands that were queued before ``begin``.
         """
         times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
@@ -128,9 +128,9 @@ class Commander(Node):
         self.commands = 0
         """Number of commands received from the node."""
         self.external_efforts = 0
-        """Number of messages with external efforts received from the node."""
+        """Number of messages about external efforts received from the node."""
         self.brakes_on = True
-        """Latest state of the brakes."""
+        """Whether the brakes are on, according to the latest message."""
         self.history = History()
         """Everything recorded since the start of the trajectory."""
         self._joint_names = joint_names

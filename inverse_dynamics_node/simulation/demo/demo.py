@@ -61,7 +61,7 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
     robot = load_urdf(urdf)
     if options.link and options.link not in robot.link_names:
         raise SimulationError(unknown_name('link', options.link, robot.link_names))
-    # This also compiles the dynamics. The node then loads the compiled code from the cache.
+    # InverseDynamics also compiles the dynamics; the node then loads the code from the cache.
     start = start_pose(robot, InverseDynamics(robot))
     setup = DemoSetup(
         urdf, robot, start, options.duration, options.link, options.friction, options.rate
@@ -101,7 +101,7 @@ def _environment_hint() -> str:
 
 
 def describe_rotors(setup: DemoSetup) -> str:
-    """Report which joints get additional rotor inertia in the demo, and the reason."""
+    """Say which joints get additional rotor inertia in the demo, and why."""
     robot = setup.robot
     rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
@@ -153,12 +153,12 @@ def perform(
     standing: Reference | None = None,
 ) -> tuple[History, int]:
     """
-    Start robot and node, follow the timeline, and end both.
+    Start robot and node, follow the timeline, and end the processes.
 
-    ``commands`` are the arguments of the processes, see `commands_of`. ``stopped`` returns whether
-    the user has asked to stop. The topics are recorded to the folder ``record``, unless it is
-    None. ``standing`` is as in `DemoRun.perform`. A live view shows the output of the processes
-    above its table. The results are the history and the number of recorded messages.
+    ``commands`` are the arguments of the processes (see `commands_of`). ``stopped`` returns
+    whether the user has asked to stop. The topics are recorded to the folder ``record``, unless it
+    is None. For ``standing``, see `DemoRun.perform`. A live view shows the output of the processes
+    above its table. Return the history and the number of recorded messages.
     """
     with running(commands, view.log if view.is_live else None) as processes:
         start_ros([])
@@ -211,7 +211,7 @@ class DemoRun:
         is None, the node holds the robot without a reference until the timeline starts.
         """
         # Exempt the objects of the libraries from garbage collection, which would take 0.1 s each
-        # time. Commands that arrive meanwhile are received during the wait below, before the
+        # time. Commands that arrive during these calls are received in the wait below, before the
         # measurement starts.
         gc.collect()
         gc.freeze()
@@ -290,7 +290,7 @@ class DemoRun:
             self._spin()
 
     def _spin(self) -> None:
-        """Handle ROS events for a moment; raise if a process ended or the user asked to stop."""
+        """Handle ROS events briefly; raise an error if a process or the user ended the run."""
         if self._stopped():
             raise KeyboardInterrupt
         for name, process in self._processes.items():

@@ -19,15 +19,15 @@ from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
 
-# Gains [1/s^2], [1/s] of the control loop in the commander or the node, critically damped at
-# 20 rad/s. With these gains, two samples of latency cause an error of less than a millirad, and a
-# command that is held for 20 ms does no harm.
+# Gains [1/s^2], [1/s] of the control loop in the commander or the node. The loop is critically
+# damped at 20 rad/s. With these gains, two samples of latency cause an error of less than a
+# millirad, and a command that is held for 20 ms does no harm.
 KP, KD = 400.0, 40.0
 DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint under a load or a push
 HEAVIEST = 5.0  # [kg]: heaviest load
 LEAST_LOAD = 0.01  # smallest load as a fraction of the robot's mass
 HARDEST, FIRM = 20.0, 5.0  # [N]: largest push, and a push that is large enough
-LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction, as in motors with gears
+LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N]: inertia per dry friction, as in geared motors
 LEAST_DECAY = 0.02  # [s]: viscous friction must not stop a joint faster than the loop reacts
 BOX = 0.1  # [m]: side of a cubic load
 GRIP = (0.0, 0.0, 0.05)  # [m]: centre of the load in the frame of the link
@@ -58,7 +58,7 @@ class DemoSetup:
     @cached_property
     def armature(self) -> Floats:
         """
-        Rotor inertia that the demo adds to the URDF, shape (n,) [kg m^2 or kg].
+        Rotor inertia that the demo adds to each joint, shape (n,) [kg m^2 or kg].
 
         A joint with friction has a motor and gears. Without enough inertia, even the smallest
         delay in the friction compensation would make the joint oscillate. If ``friction`` is
@@ -139,7 +139,7 @@ class DemoSetup:
         return link, force * direction
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
-        """Compute the joint efforts that balance a push, -J^T F, for the force F on a link."""
+        """Compute the joint efforts -J^T F, which balance a push with the force F on a link."""
         pushed, alone = InverseDynamics(self.robot), InverseDynamics(self.robot)
         pushed.set_external_wrench(link, force)
         difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
@@ -163,7 +163,7 @@ class DemoSetup:
         return chosen, most
 
     def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
-        """Return the gravity efforts at the start, and how a load or a push changes them."""
+        """Return the gravity efforts in the start pose, and the change due to a load or push."""
         dynamics = InverseDynamics(self.robot)
         alone = dynamics.gravity_efforts(self.start)
         put(dynamics)

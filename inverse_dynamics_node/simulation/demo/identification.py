@@ -35,7 +35,7 @@ PLACE = (0.85, 1.15)
 ROTOR = 0.4
 """Inertia of the rotor relative to the inertia of the joint."""
 COULOMB = 3.0
-"""Acceleration at which a joint's inertia takes as much effort as its friction [rad/s^2]."""
+"""Acceleration whose inertial effort equals the Coulomb friction of the joint [rad/s^2]."""
 DAMPING_SPEED = 1.5
 """Speed at which viscous friction is as large as Coulomb friction [rad/s]."""
 LARGEST_FRICTION = 0.05
@@ -58,7 +58,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """Draw the true properties of a robot whose URDF is wrong; they are the same in every run."""
+    """Draw the true properties of a robot whose URDF is wrong; all runs draw the same values."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):
@@ -104,8 +104,8 @@ def follow(
     Start a node and a simulated robot, let the robot follow a motion, and return the history.
 
     ``robot_arguments`` are the path of the URDF and further arguments of the simulated robot.
-    ``node_arguments`` are those after ``--ros-args``. ``record`` is the folder to create for a
-    recording, or None. ``title`` describes the run. The other arguments are as in `perform`.
+    ``node_arguments`` follow ``--ros-args``. ``record`` is the folder to create for a recording,
+    or None. ``title`` describes the run. For the other arguments, see `perform`.
     """
     view = View(setup.robot, f'{setup.robot.name}: {title}')
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)

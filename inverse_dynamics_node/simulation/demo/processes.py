@@ -1,4 +1,4 @@
-"""Child processes that end with their parent, and ROS settings that stay on this machine."""
+"""Child processes that end with their parent, and settings that keep ROS traffic local."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Judges the runs of the demo: measurements are compared with limits."""
+"""Judges the runs of the demo by comparing measurements with limits."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .view import name_width
 MOVING_LIMIT, REST_LIMIT = 0.010, 0.001  # [rad or m]
 HARMLESS = 0.05  # [s]: longest gap between commands that leaves the tracking errors within limits
 SETTLED = 1.5  # [s]: settling time of the errors after a change
-STOPPED = 1.0  # [s]: twice the sum of the node's state timeout and stop ramp
-LEAST_FACTOR = 5.0  # smallest ratio of errors without and with a known load, IMU or calibration
-CONTACT_LIMIT = 0.05  # largest error of a push as a fraction of its largest joint effort
+STOPPED = 1.0  # [s]: time allowed until efforts are zero: twice (state timeout + stop ramp)
+LEAST_FACTOR = 5.0  # least factor by which a known load, an IMU or a calibration reduces errors
+CONTACT_LIMIT = 0.05  # largest error of an estimated push, relative to its largest joint effort
 RATE_LIMIT = 0.02  # largest relative error of the command rate
-REST_FRACTION = 0.2  # final fraction of `track` at rest; the second half of this time is judged
+REST_FRACTION = 0.2  # fraction of a `track` run for the final rest, whose second half is judged
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Distance(NamedTuple):
 
 
 def worst(setup: DemoSetup, errors: Floats) -> Distance:
-    """Return the largest position error from the errors of all joints, shape (n,) [rad or m]."""
+    """Return the largest of the position errors of all joints, shape (n,) [rad or m]."""
     i = int(np.argmax(errors))  # argmax prefers NaN
     unit = 'mm' if setup.robot.is_prismatic_joint[i] else 'mrad'
     # Errors below 0.001 mrad or mm are printed as 0.001.
@@ -59,12 +59,12 @@ def worst(setup: DemoSetup, errors: Floats) -> Distance:
 
 
 def result_of(words: str, *checks: tuple[bool, str]) -> ScenarioResult:
-    """Return a result that passes if all checks pass; each has a text for its failure."""
+    """Return a result that passes if all checks pass; each check has a text for a failure."""
     return ScenarioResult(words, tuple(failure for passed, failure in checks if not passed))
 
 
 def excuse(history: History) -> str:
-    """Explain a failure with the longest gap between commands, if that gap was too long."""
+    """Explain a failure by the longest gap between commands, if that gap was too long."""
     waited = float(np.max(np.diff(history.commands.times), initial=0.0))
     if waited <= HARMLESS:
         return ''
@@ -96,7 +96,7 @@ def check_hold(setup: DemoSetup, history: History) -> ScenarioResult:
 def check_payload(
     setup: DemoSetup, history: History, picked_up: float, sent: float
 ) -> ScenarioResult:
-    """Judge a load: the error that it causes must vanish when the node receives its mass."""
+    """Judge a run with a load: the resulting error must vanish once the node knows the load."""
     before = worst(setup, history.largest_error(0.0, picked_up))
     unknown = worst(setup, history.largest_error(picked_up, sent))
     known = worst(setup, history.largest_error(sent + SETTLED, np.inf))
@@ -123,7 +123,7 @@ def check_payload(
 def check_push(
     setup: DemoSetup, history: History, link: str, force: Floats, began: float, ended: float
 ) -> ScenarioResult:
-    """Judge a push: external efforts must be zero before the push, and -J^T F during the push."""
+    """Judge a push: external efforts must first be zero, and then -J^T F during the push."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
     if not len(rows) or not len(states):
@@ -140,7 +140,7 @@ def check_push(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
         f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
         (off <= CONTACT_LIMIT, f'the estimated push is {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
-        (noise <= CONTACT_LIMIT, f'before the push, the node already estimated {noise:.1%} of it'),
+        (noise <= CONTACT_LIMIT, f'the node found {noise:.1%} of the push before its start'),
         (after.value <= rest_limit(setup), f'a joint was {after.words} off after the push'),
     )
 
@@ -148,7 +148,7 @@ def check_push(
 def check_tilt(
     setup: DemoSetup, history: History, settled: float, without: tuple[Floats, Floats]
 ) -> ScenarioResult:
-    """Judge a tilting base: the arm must not move."""
+    """Judge a run with a tilting base: the arm must not move."""
     moved = worst(setup, history.largest_error(0.0, np.inf))
     rest = worst(setup, history.largest_error(settled, np.inf))
     lesser = worst(setup, np.max(np.abs(without[1]), axis=0))
@@ -170,9 +170,9 @@ def check_tilt(
 def check_sensor_lost(
     setup: DemoSetup, history: History, lost: float, back: float
 ) -> ScenarioResult:
-    """Judge lost joint states: efforts must become zero, and the arm must stay in place."""
-    # The window ends early: when joint states resume, history times follow the stamps again, and
-    # the stamps may lag behind the clock of the machine.
+    """Judge a loss of joint states: efforts must become zero, and the arm must stay in place."""
+    # The window ends early: when joint states resume, the times of the history follow the stamps
+    # again, and the stamps may lag behind the clock of the machine.
     commands = np.abs(history.commands.between(lost + STOPPED, back - 0.1))
     left = float(np.max(commands, initial=0.0))
     before = float(np.max(np.abs(history.commands.between(0.0, lost)), initial=0.0))
@@ -204,7 +204,7 @@ def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
     rest = history.largest_error((1.0 - 0.5 * REST_FRACTION) * duration, math.inf)
     wide = name_width(robot)
     limits = tracking_limits(setup.slack)
-    # Without friction, all joints have the same limits: the verdict states them.
+    # Without friction, all joints have the same limits, which are in the verdict.
     head = ('moving', 'limit', 'at rest', 'limit') if setup.friction else ('moving', 'at rest')
     widths = (13, 14, 15, 15) if setup.friction else (13, 15)
     columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
@@ -265,7 +265,7 @@ def find_failures(
         failures += [
             f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, limit {1000 * most:.3g}'
             for name, error, most in zip(joint_names, errors, limits, strict=True)
-            if not error <= most  # NaN means no measurement, a failure
+            if not error <= most  # NaN, without measurements, is a failure
         ]
     if not abs(rate / expected_rate - 1.0) <= RATE_LIMIT:
         cause = (

@@ -118,7 +118,7 @@ def track(setup: DemoSetup) -> Timeline:
 
 
 def payload(setup: DemoSetup) -> Timeline:
-    """Prepare a run in which the arm picks up a load, and the node receives the load later."""
+    """Prepare a run in which the arm picks up a load that is unknown to the node at first."""
     link, mass, inertia = setup.load()
     loaded = setup.dynamics()
     loaded.set_payload(link, mass, GRIP, inertia)
@@ -152,7 +152,7 @@ def payload(setup: DemoSetup) -> Timeline:
 
 
 def push(setup: DemoSetup) -> Timeline:
-    """Prepare a run in which a force pushes a link for a while."""
+    """Prepare a run in which a force temporarily pushes a link."""
     link, force = setup.push()
     began, ended = 0.3 * setup.duration, 0.6 * setup.duration
     x, y, z = force.tolist()
@@ -203,7 +203,7 @@ def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tup
     Simulate computed torque on a tilting base without an IMU; return times and position errors.
 
     The base begins to tilt at the time ``began`` [s]. Its final ``attitude`` is a rotation vector
-    from level, shape (3,) [rad]. The times have shape (k,) [s], the errors (k, n) [rad or m].
+    from level, shape (3,) [rad]. Times [s] have shape (k,), and errors [rad or m] shape (k, n).
     """
     simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False

@@ -18,7 +18,7 @@ from rich.text import Text
 from ...robot.model import Floats, RobotModel
 
 LIVE_PERIOD = 0.2  # [s]: drawing delays the control loop by a few milliseconds
-FULL_ERROR = 0.1  # [rad or m]: error at full length of a bar; 10 % of the bar are a factor of 2.5
+FULL_ERROR = 0.1  # [rad or m]: error that fills a bar; each 10 % of the bar is a factor of 2.5
 WIDTH = 12  # characters in a bar
 
 
@@ -141,7 +141,7 @@ def name_width(robot: RobotModel) -> int:
 
 
 def error_fraction(error: float) -> float:
-    """Return the length of an error bar, from 0 at 0.01 mrad to 1 at 100 mrad, logarithmic."""
+    """Return the logarithmic length of an error bar, from 0 at 0.01 mrad to 1 at 100 mrad."""
     return 1.0 + math.log10(max(abs(error), 1e-9) / FULL_ERROR) / 4.0
 
 

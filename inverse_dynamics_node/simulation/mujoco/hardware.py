@@ -15,8 +15,8 @@ from ...robot.model import Booleans, Floats, RobotModel
 from .model import compile_model, LARGEST_STEP, SimulationError
 from .world import World
 
-LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: 1/1000 of the inertia at the smallest finger joint
-LEAST_INDEPENDENCE = 1e-9  # eigenvalue; rounding leaves about 1e-16 if two joints move as one
+LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: 1/1000 of the inertia of the smallest finger joint
+LEAST_INDEPENDENCE = 1e-9  # least eigenvalue; if two joints move as one, rounding leaves 1e-16
 DRIVE_GAINS = 900.0, 60.0  # [1/s^2], [1/s] of the position controller: critically damped, 5 Hz
 HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2]: held joints have springs of 10 Hz
 
@@ -34,7 +34,7 @@ class MujocoRobot:
     start : array_like, shape (n,)
         Start positions [rad or m], in the order of ``robot.joint_names``.
     friction : bool
-        Whether joints have the damping and Coulomb friction of the URDF; otherwise they have none.
+        Whether to simulate the damping and Coulomb friction of the URDF.
     held : collection of str
         Joints that take no commands; stiff springs hold them in their start positions.
     armature : array_like, shape (n,) or ()
@@ -63,7 +63,7 @@ class MujocoRobot:
         self._data = mujoco.MjData(self._model)
         self._at_rest = mujoco.MjData(self._model)
         self.world = World(self._model, self._data, robot.body_names[0])
-        """Payloads, pushes and tilts of the base."""
+        """Payloads, pushes, and the motion of the base."""
         address = {
             self._model.joint(i).name: int(self._model.jnt_dofadr[i])
             for i in range(self._model.njnt)
@@ -167,7 +167,7 @@ class MujocoRobot:
         return accelerations
 
     def mass_matrix(self) -> Floats:
-        """Return the mass matrix at the current positions, including mimics, shape (n, n)."""
+        """Return the current mass matrix, including mimicking joints, shape (n, n)."""
         velocities = self._coupling.T.copy()
         momenta = np.zeros(velocities.shape)
         for row, velocity in zip(momenta, velocities, strict=True):
@@ -176,12 +176,12 @@ class MujocoRobot:
         return inertia
 
     def bias_efforts(self) -> Floats:
-        """Return the joint efforts due to gravity and velocities, with mimics, shape (n,)."""
+        """Return efforts due to gravity and velocities, including mimicking joints, shape (n,)."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
         return efforts
 
     def gravity_efforts(self) -> Floats:
-        """Return the joint efforts due to gravity only, with payloads, shape (n,)."""
+        """Return the joint efforts due to gravity only, including payloads, shape (n,)."""
         self._at_rest.qpos[:] = self._data.qpos
         mujoco.mj_fwdPosition(self._model, self._at_rest)
         mujoco.mj_fwdVelocity(self._model, self._at_rest)
@@ -189,7 +189,7 @@ class MujocoRobot:
         return efforts
 
     def _hold(self, joints: Collection[str]) -> None:
-        """Add springs and dampers to joints; each is critically damped for its own inertia."""
+        """Add springs and dampers to joints, so that each joint is critically damped."""
         inertia, load = self.mass_matrix().diagonal(), self.bias_efforts()
         for name in joints:
             i = self.robot.joint_names.index(name)

@@ -6,7 +6,7 @@ URDF needs four changes:
 
 - Shapes are removed: they need mesh files, and MuJoCo would give them a mass.
 - Quaternions become roll, pitch and yaw: MuJoCo ignores ``quat_xyzw``.
-- Links on fixed joints remain separate bodies: merging would drop inertia without mass.
+- Links on fixed joints remain separate bodies: merging would drop the inertia of massless links.
 - During compilation, placeholders replace masses and inertias that MuJoCo rejects.
 """
 
@@ -26,7 +26,7 @@ from ...robot.kinematics import rpy_of_quaternion
 from ...robot.model import Floats
 from ...robot.urdf.xml import Element, parse, read_source, tag
 
-OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older ones ignore <mimic>
+OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older versions ignore <mimic>
 LARGEST_STEP = 0.00025  # [s]: integration errors are far below the effect of one late sample
 STIFFEST = 0.9999  # MuJoCo's upper bound on the stiffness of a constraint
 LEAST_PLAUSIBLE = 1e-12  # [kg or kg m^2]: MuJoCo rejects values below 1e-15
@@ -139,7 +139,7 @@ def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) ->
 
 
 def principal_axes(inertia: Floats) -> tuple[Floats, Floats]:
-    """Return the principal moments of an inertia, shape (3,), and its axes as a quaternion."""
+    """Return the principal moments of an inertia, shape (3,), and the axes as a quaternion."""
     moments, axes = np.linalg.eigh(inertia)
     axes *= np.linalg.det(axes)  # turns a reflection into a rotation
     quaternion = np.zeros(4)

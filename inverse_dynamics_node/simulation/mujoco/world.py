@@ -55,7 +55,7 @@ class World:
         self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
     ) -> None:
         """
-        Attach a rigid load to a link in place of the previous load; a mass of 0 removes the load.
+        Attach a rigid load to a link, replacing any previous load; a mass of 0 removes the load.
 
         The mass is in kg. The centre of mass, shape (3,), is in the link's frame [m]. The inertia,
         shape (3, 3), is about the centre of mass, along the link's axes [kg m^2]. Raise a
@@ -104,7 +104,7 @@ class World:
         self._angular_acceleration = np.asarray(angular_acceleration, float)
 
     def act(self) -> None:
-        """Write the forces on all bodies for the current state."""
+        """Apply the inertial forces and the external wrenches for the current state."""
         data = self._data
         data.xfrc_applied[:] = 0.0
         if self._angular_velocity.any() or self._angular_acceleration.any():
