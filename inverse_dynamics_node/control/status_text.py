@@ -282,7 +282,7 @@ def judge_model(now: float, loop: ControlLoop) -> Judgement:
         return Level.ERROR, unknown
     warnings = loop.robot.warnings
     if warnings:
-        return Level.WARN, f'warnings about the robot description: {len(warnings)}'
+        return Level.WARN, f'{len(warnings)} warnings about the robot description'
     return Level.OK, f"robot '{loop.robot.name}'"
 
 

@@ -102,7 +102,7 @@ NAN = float('nan')
         ('set_friction', (9, 9, 9, 9, -0.1), 'sqrt_damping is -0.1, expected finite'),
         ('set_drive_coupling', ((1, 2, 3),), r'coupling is \(1, 2, 3\)'),
         ('set_drive_coupling', ((0.0, NAN),), r'coupling is \(0.0, nan\), expected finite'),
-        ('set_drive_coupling', (0.5,), r"coupling of joint '\w+' is 0.5, expected 0: no joint"),
+        ('set_drive_coupling', (0.5,), r"coupling of joint '\w+' is 0.5, expected 0: the joint"),
         ('set_springs', (INFINITE,), 'stiffness is inf, expected finite numbers'),
         ('set_springs', (9, (1, 2, 3)), r'rest is \(1, 2, 3\)'),
         ('set_armature', ((1, 2, 3),), r'armature is \(1, 2, 3\)'),
