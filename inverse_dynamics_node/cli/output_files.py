@@ -78,7 +78,7 @@ def check_outputs(
                 'another name'
             )
         if identity in written:
-            raise OutputError(f'{where}: is also the file of {written[identity]}')
+            raise OutputError(f'{where}: is also the output of {written[identity]}')
         written[identity] = option
         if path.exists() and not force and not _is_unchanged_output(path):
             raise OutputError(

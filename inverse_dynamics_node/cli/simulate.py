@@ -112,8 +112,8 @@ def _line(name: str) -> str:
         f'takes {driver.form.value}': driver.form is not TORQUES.form,
         'adds gravity to the commands': driver.adds_gravity,
         'measures without gravity': not driver.measures_gravity,
-        'takes another unit than N m': driver.command_unit != 1.0,
-        'measures another unit than N m': driver.measured_unit != 1.0,
+        'takes a unit other than N m': driver.command_unit != 1.0,
+        'measures in a unit other than N m': driver.measured_unit != 1.0,
         'publishes /clock': driver.has_clock,
     }
     return f'  {name:20} {"; ".join(part for part, applies in parts.items() if applies)}'

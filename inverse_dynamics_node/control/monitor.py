@@ -171,7 +171,7 @@ class Monitor:
 
 
 class StalledPublishers:
-    """Measures for how long publishers have been silent although messages were expected."""
+    """Measures how long publishers have been silent while messages were expected."""
 
     def __init__(self, now: float) -> None:
         self._since = self._last_update = now

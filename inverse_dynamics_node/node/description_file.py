@@ -179,7 +179,7 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """Schedule the reading of this description, and ignore all older descriptions."""
+        """Schedule this description for reading, and ignore all older ones."""
         self._next = configuration, description
         self.poll()
 

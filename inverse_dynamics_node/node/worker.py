@@ -35,7 +35,7 @@ class Worker:
     The child process is a copy of this process. Create the worker before the node, so that the
     copy contains no ROS entities. Create the worker after the imports, so that both processes
     share the memory of the libraries. Create `Scheduling` before the worker, so that the threads
-    of the worker get the priority of the loop: these threads hold the lock, too. Without
+    of the worker in this process, which take the same lock, get the priority of the loop. Without
     `has_process`, or if the child process has ended, a thread does the work.
     """
 

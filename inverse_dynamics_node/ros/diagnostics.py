@@ -133,7 +133,7 @@ def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
     Return the message for ``/diagnostics``, with long texts shortened.
 
     `stamp` is the time in the header. The name of each part begins with `node`, the fully
-    qualified name of the node, but without the first slash.
+    qualified name of the node, without its leading slash.
     """
     message = DiagnosticArray()
     message.header.stamp = stamp

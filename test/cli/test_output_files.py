@@ -106,7 +106,7 @@ def test_two_outputs_with_one_name_are_refused(here, capsys):
     (here / 'same.json').symlink_to('same.urdf')
     options = ['--output', 'same.urdf', '--json', 'same.json']
     assert main(['identify', 'arm.urdf', 'move.csv', *options]) == 2
-    assert '--json same.json: is also the file of --output' in capsys.readouterr().err
+    assert '--json same.json: is also the output of --output' in capsys.readouterr().err
     assert main(['effort', 'arm.urdf', 'move.csv', '--csv', 'move_efforts.png']) == 2
     assert main(['excite', 'arm.urdf', '--csv', 'arm_excite_start.yaml']) == 2
 

@@ -33,7 +33,7 @@ class FaultKind(enum.Enum):
     GRAVITY_MEASURED = 'gravity_measured'
     """The measured efforts contain gravity, although the driver should exclude gravity."""
     MOUNTING = 'mounting'
-    """Gravity has another direction than in the model."""
+    """The direction of gravity differs from that of the model."""
     PAYLOAD = 'payload'
     BODIES = 'bodies'
     """The masses of several links are wrong."""

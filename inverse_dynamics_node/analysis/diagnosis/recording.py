@@ -299,7 +299,7 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
 
 
 def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Return a sign for each joint of the motion: 1 if its effort does not vary."""
+    """Extend the signs to all joints of the motion, with 1 where the effort does not vary."""
     every = np.ones(len(compared.motion.joint_names))
     every[[compared.compared[c] for c in compared.varying]] = signs
     return every

@@ -93,7 +93,7 @@ class RobotFit(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
-        """Whether the effort of any joint is in another unit than the modelled effort."""
+        """Whether the effort of any joint has a different unit from the modelled effort."""
         return self.unit != 1.0 or any(fit.sensor_fault.is_scaled for fit in self.fits)
 
     def factor(self, joint: int) -> float:

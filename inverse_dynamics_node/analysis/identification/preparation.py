@@ -200,7 +200,7 @@ class TrainingData:
     problem: IdentificationProblem
     runs: Sequence[PreparedRecording]
     duration: float
-    """Duration of all recordings [s]."""
+    """Total duration of the recordings [s]."""
     moving: Booleans
     """Whether each joint moved enough to identify its friction, shape (joints,)."""
     widths: Floats

@@ -32,7 +32,7 @@ DOES_NOT_FIT = -1
 
 
 def no_code(*_: Any) -> int:
-    """Take the place of generated code that does not fit the present loads."""
+    """Report that the generated code does not fit the present loads."""
     return DOES_NOT_FIT
 
 

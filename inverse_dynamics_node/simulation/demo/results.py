@@ -140,7 +140,10 @@ def check_push(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
         f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
         (off <= CONTACT_LIMIT, f'the estimated push is {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
-        (noise <= CONTACT_LIMIT, f'the node found {noise:.1%} of the push before its start'),
+        (
+            noise <= CONTACT_LIMIT,
+            f'before the push, the external efforts reached {noise:.1%} of the push',
+        ),
         (after.value <= rest_limit(setup), f'a joint was {after.words} off after the push'),
     )
 
