@@ -186,10 +186,10 @@ class ExternalLoads:
 
     def update(self, now: float, elapsed: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and detect a loss of the base motion.
+        Advance the ramps, fade out stale wrenches, and detect when the base motion becomes unknown.
 
         Ramps advance by ``elapsed`` [s]; see `RampClock`. The result is true if efforts may jump
-        because the motion of the base has just been lost.
+        because the motion of the base has just become unknown.
 
         """
         for link in list(self._ramps):

@@ -266,7 +266,7 @@ def judge_efforts(
         message = 'the commands have no subscribers'
         if around.others.subscribers:
             names = join_names(around.others.subscribers)
-            message += f': {names} subscribes with another type or quality of service'
+            message += f' that match: {names} subscribes with another type or quality of service'
         return Level.WARN, message
     if clamped:
         return Level.WARN, f'effort cut to its limit: {", ".join(clamped)}'

@@ -177,8 +177,8 @@ def _changes(fault: Fault) -> str:
         return ''
     if fault.kind in (FaultKind.UNEXPLAINED, FaultKind.EXTERNAL_FORCE):
         left = ', '.join(
-            f'{each.joint} {amount(each.after, each.is_prismatic)} of '
-            f'{amount(each.measured, each.is_prismatic)}'
+            f'at {each.joint} {amount(each.after, each.is_prismatic)} of '
+            f'{amount(each.measured, each.is_prismatic)} measured'
             for each in changes
         )
         return f'the RMS residual is {left}'

@@ -48,7 +48,7 @@ def search_axes(
     data: RegressionData, with_signs: Callable[[Floats], RegressionData | None]
 ) -> Axes:
     """
-    Explain the efforts, with reversed axes where reversal improves the explanation.
+    Find the axes whose reversal improves the explanation of the efforts.
 
     `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
     """
@@ -156,7 +156,7 @@ def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> 
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
-    """Return a fault for joints with the given constant measured efforts."""
+    """Report the given joints, whose measured efforts are constant."""
     if not values:
         return []
     return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]

@@ -279,7 +279,7 @@ class RegressionData:
         )
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether joints with much gravity are explained and hardly any gravity remains."""
+        """Return whether the fit explains the efforts of gravity and leaves hardly any of them."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
