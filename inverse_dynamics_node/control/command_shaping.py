@@ -380,13 +380,13 @@ def blend_efforts(
     column per commanded joint, shape (10, m). The input rows are the index of the joint among the
     n joints, the effort to add, the scale, the offset, the limit and the rate limit. The output
     rows are the computed effort, the last command minus the effort at the start of the blend, the
-    excess over the limit at the start of the blend, and the command. On entry, the command row contains the last
-    command. The first row of ``flags`` is set where an effort was cut to its limit. The second row
-    is set where a rate limit slowed the change of an effort.
+    excess over the limit at the start of the blend, and the command. On entry, the command row
+    contains the last command. The first row of ``flags`` is set where an effort was cut to its
+    limit. The second row is set where a rate limit slowed the change of an effort.
 
     ``gain`` is the factor for the computed efforts. ``left`` is the fraction of that difference
-    which has not faded yet. ``is_new`` says whether a blend begins with this command. ``has_rates``
-    says whether rate limits exist. ``elapsed`` is the time step for the rate limits [s].
+    which has not faded yet. ``is_new`` says whether a blend begins with this command.
+    ``has_rates`` says whether rate limits exist. ``elapsed`` is the time step for them [s].
 
     """
     # Without numba, floats are faster than numpy scalars, and do not cause warnings.

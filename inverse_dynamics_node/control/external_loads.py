@@ -186,7 +186,7 @@ class ExternalLoads:
 
     def update(self, now: float, elapsed: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and detect when the base motion becomes unknown.
+        Advance the ramps, fade out stale wrenches, and detect an unknown motion of the base.
 
         Ramps advance by ``elapsed`` [s]; see `RampClock`. The result is true if efforts may jump
         because the motion of the base has just become unknown.
