@@ -113,8 +113,8 @@ def running(programs, parent, node):
     programs.start(f'{parent}/driver', *ROBOT, f'/{topic}/commands', *ros)
     where = f'with namespace {parent}: ' if parent else ''
     yield f'{where}node and robot', wait_for_text(log, 'efforts for'), log.read_text()
-    _, text = programs.result(f'{parent}/watch', *COMMAND, 'watch', f'/{topic}', '--for', '3')
-    yield f'{where}watch', 'was not found' not in text and 'ROS does not' not in text, text
+    code, text = programs.result(f'{parent}/watch', *COMMAND, 'watch', f'/{topic}', '--for', '3')
+    yield f'{where}watch', code == 0 and 'model and robot agree' in text, text
     dry_run = *ROS2, 'param', 'set', f'/{topic}', 'dry_run', 'false'
     for what, arguments, expected in (
         ('parameter', dry_run, 'Set parameter successful'),

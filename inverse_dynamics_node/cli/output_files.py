@@ -88,13 +88,12 @@ def check_outputs(
 
 
 @contextmanager
-def new_file(path: Path, is_replaceable: bool = True) -> Iterator[Path]:
+def new_file(path: Path) -> Iterator[Path]:
     """
     Yield the path of a temporary file, which replaces the output if the `with` body succeeds.
 
     If the body fails, an existing output is not changed. A symbolic link is kept: the link's
-    target is replaced. Without `is_replaceable`, the output gets no mark: later calls
-    replace it only with --force. Raise OSError with the path if the output cannot be written.
+    target is replaced. Raise OSError with the path if the output cannot be written.
     """
     if _is_stream(path):
         yield path
@@ -107,7 +106,7 @@ def new_file(path: Path, is_replaceable: bool = True) -> Iterator[Path]:
         if target.exists():
             shutil.copymode(target, temporary)
         yield temporary
-        _complete(temporary, is_replaceable)
+        _complete(temporary)
         temporary.replace(target)
     except OSError as error:  # the error names the temporary file, or no file
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
@@ -115,11 +114,10 @@ def new_file(path: Path, is_replaceable: bool = True) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _complete(path: Path, is_marked: bool) -> None:
-    """Mark a file as an output if `is_marked`, and flush the file to the disk."""
-    if is_marked:
-        with suppress(OSError):  # not all file systems have extended attributes
-            os.setxattr(path, _MARK, _digest(path))
+def _complete(path: Path) -> None:
+    """Mark a file as an output, and flush the file to the disk."""
+    with suppress(OSError):  # not all file systems have extended attributes
+        os.setxattr(path, _MARK, _digest(path))
     with path.open('rb') as file:
         os.fsync(file.fileno())
 

@@ -10,8 +10,10 @@ from pathlib import Path
 import signal
 import sys
 
+from ..analysis.diagnosis import GravityConvention
 from ..analysis.payload import measure_payload, PayloadEstimate
 from ..control.status import NodeStatus
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..errors import ConfigurationError, RecordingError
 from ..report.payload_report import (
     as_json,
@@ -85,7 +87,9 @@ def make_parser() -> CommandParser:
         help='node of --record and --apply (default: the only node)',
     )
     parser.add_argument(
-        '--topic', help='topic of the joint states (default: the only one with efforts)'
+        '--topic',
+        help='topic of the joint states in a recording (default: the only one with efforts); '
+        '--record uses the topic of the node',
     )
     arguments.add_link(parser)
     arguments.add_gravity(parser)
@@ -114,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
     robot.link_index(link)
-    source = options.node_parameters
+    source, gravity = options.node_parameters, options.gravity
     convention, scale = measured_efforts(source, robot.joint_names)
     empty = None
     if options.empty is not None:
@@ -124,6 +128,8 @@ def run(options: argparse.Namespace) -> int:
         if source is None:
             source, convention = options.node, reported_convention(status)
             scale = status.measured_scale()
+        if gravity is STANDARD_GRAVITY and status.model and status.model.gravity_at_root:
+            gravity = status.model.gravity_at_root
     if empty is None and not convention.in_measured:
         raise ConfigurationError(
             f'{source}: the recorded efforts do not contain gravity, so a recording without the '
@@ -132,10 +138,10 @@ def run(options: argparse.Namespace) -> int:
     topic = options.topic if options.record is None else None
     loaded, _ = read_recording(options.loaded, robot, topic, scale)
     empty = empty and scaled(empty, scale)
-    result = measure_payload(robot, loaded, empty, link, options.gravity)
+    result = measure_payload(robot, loaded, empty, link, gravity)
     apparent = None
     if empty is not None and convention.in_measured:
-        apparent = measure_payload(robot, empty, None, link, options.gravity)
+        apparent = measure_payload(robot, empty, None, link, gravity)
     is_shown = result.is_certain and not result.unknown
     if options.json:
         print(json.dumps(as_json(result, apparent)))
@@ -171,6 +177,7 @@ def _check_files(options: argparse.Namespace) -> None:
         except argparse.ArgumentTypeError as error:
             raise OutputError(str(error)) from None
         outputs['--record'] = options.loaded
+        outputs['an interrupted --record'] = _partial(options.loaded)
     check_outputs([*filter(None, inputs)], outputs, options.force)
 
 
@@ -186,22 +193,38 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
         recorder = JointStateRecorder(observer)
         with waiting(f'waiting for the joint states of {observer.name}'):
             recorder.wait(joints)
-        text = f'recording {recorder.topic} for {seconds:g} s'
+        before = observer.status
+        text, partial = f'recording {recorder.topic} for {seconds:g} s', _partial(path)
         print(text, file=sys.stderr, flush=True)
-        with _signals() as signals, new_file(path, is_replaceable=False) as new:
-            with progress(text) as report:
-                reason = recorder.record(new, seconds, lambda: bool(signals), report)
-            if signals and not recorder.count:
-                raise SystemExit(128 + signals[0])
-            if not recorder.count:
-                raise RecordingError(f'{path}: is not written, because no joint states arrived')
-    print(f'{path}: {recorder.count} joint states in {recorder.duration:.1f} s', file=sys.stderr)
+        with _signals() as signals, progress(text) as report:
+            reason = recorder.record(partial, seconds, lambda: bool(signals), report)
+    # A recording that ended early must not replace a complete one.
+    written = partial if reason and path.exists() else partial.replace(path)
+    count, duration = recorder.count, recorder.duration
+    print(f'{written}: {count} joint states in {duration:.1f} s', file=sys.stderr)
     if signals:
         raise SystemExit(128 + signals[0])
     if reason:
-        raise RecordingError(f'{path}: ends before {seconds:g} s: {reason}')
-    assert observer.status is not None
-    return observer.name, observer.status
+        raise RecordingError(f'{written}: ends before {seconds:g} s: {reason}')
+    after = observer.status
+    assert before is not None
+    assert after is not None
+    if _content(before) != _content(after):
+        raise RecordingError(
+            f'{written}: {observer.name} changed during the recording: its diagnostics no longer '
+            'say the same about the content of the measured efforts'
+        )
+    return observer.name, after
+
+
+def _partial(path: Path) -> Path:
+    """Return the file for a recording that has not ended yet, beside the file `path`."""
+    return path.with_name(f'{path.stem}_partial.csv')
+
+
+def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
+    """Return whether the measured efforts contain gravity, and the factor of each joint."""
+    return reported_convention(status), dict(status.measured_scale())
 
 
 @contextmanager

@@ -66,8 +66,9 @@ class JointStateRecorder:
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
         self._rows = StateRows()
+        self._joints: tuple[str, ...] = ()  # that have efforts
         self.count = 0
-        """Number of recorded states."""
+        """Number of recorded states with an effort of the robot."""
         self.duration = 0.0
         """Duration of the recording [s]."""
 
@@ -99,6 +100,7 @@ class JointStateRecorder:
         problem = self._problem(joints)
         if problem:
             raise ConfigurationError(problem)
+        self._joints = tuple(joint for joint in joints if self._rows.joints.get(joint))
 
     def record(
         self,
@@ -116,15 +118,18 @@ class JointStateRecorder:
         began = last = time.monotonic()
         with path.open('w', newline='', encoding='utf-8') as file:
             writer = csv.writer(file)
-            writer.writerow(self._rows.header())
+            header = self._rows.header()
+            writer.writerow(header)
+            efforts = [header.index(f'{joint}.effort') for joint in self._joints]
 
             def write(data: bytes, received: float) -> None:
                 nonlocal last
                 row = self._rows.row(data, received)
                 if row:
                     writer.writerow(row)
-                    self.count += 1
-                    last = time.monotonic()
+                    if any(row[k] is not None for k in efforts):
+                        self.count += 1
+                        last = time.monotonic()
 
             self._observer.on_joint_state = write
             reason = ''
@@ -138,7 +143,7 @@ class JointStateRecorder:
                 if is_stopped():
                     reason = 'the recording was stopped'
                 elif now > last + _SILENCE:
-                    reason = f'no joint states arrived on {self.topic} for {_SILENCE:g} s'
+                    reason = f'no efforts arrived on {self.topic} for {_SILENCE:g} s'
         self._observer.on_joint_state = None
         return reason
 
@@ -154,7 +159,7 @@ class JointStateRecorder:
                 f'no diagnostics from {name} for {_PATIENCE:g} s: the node has ended, or cannot '
                 'be reached'
             )
-        if not self.topic:
+        if not self.topic or status.model is None:
             return f'{name} is {status.loop.state}, and has no joint states: configure the node'
         if not found:
             return (
@@ -163,6 +168,9 @@ class JointStateRecorder:
             )
         if found.keys().isdisjoint(joints):
             return f'{self.topic} has joints {", ".join(found)}; expected {", ".join(joints)}'
+        missing = [joint for joint in status.model.joints if joint not in found]
+        if missing:
+            return f'no joint states of {", ".join(missing)} on {self.topic} for {_PATIENCE:g} s'
         if not any(found.get(joint) for joint in joints):
             return (
                 f'the joint states on {self.topic} have no efforts: let the driver publish '

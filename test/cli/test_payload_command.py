@@ -6,7 +6,6 @@ from xml.etree import ElementTree
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.output_files import new_file
 import numpy as np
 from payload_runs import Arm, motion_of, poses_of
 import pytest
@@ -101,8 +100,7 @@ def test_efforts_without_gravity_need_an_empty_run(here, capsys):
     ],
 )
 def test_a_recording_needs_a_new_file(arguments, words, here, capsys):
-    with new_file(here / 'loaded.csv', is_replaceable=False) as path:
-        path.write_text('the last recording')
+    (here / 'loaded.csv').write_text('the last recording')
     assert main(['payload', str(URDF), '--record', '1', *arguments.split()]) == 2
     assert words in capsys.readouterr().err
     assert (here / 'loaded.csv').read_text() == 'the last recording'
