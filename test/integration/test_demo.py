@@ -161,12 +161,15 @@ class TestDemo:
         assert words in output
         assert 'Traceback' not in output
 
-    @pytest.mark.parametrize('arguments', [['--rate', '0'], ['--duration', 'nan']])
-    def test_options_out_of_range_are_rejected(self, domain_id, arguments):
+    @pytest.mark.parametrize(
+        ('arguments', 'words'),
+        [(['--rate', '0'], 'is outside'), (['--duration', 'nan'], 'is not')],
+    )
+    def test_options_out_of_range_are_rejected(self, domain_id, arguments, words):
         with running_demo(domain_id, STANFORD, *arguments) as demo:
             code, output = finish(demo)
         assert code == 2
-        assert f'{arguments[0]} {arguments[1]} is not' in output
+        assert f'{arguments[0]} {arguments[1]} {words}' in output
         assert 'Traceback' not in output
 
     @pytest.mark.parametrize(
