@@ -8,7 +8,7 @@ accepted only if the squared residual becomes clearly smaller.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, friction_columns
+from ..node_parameters import node_parameters
 
 SURELY_MOVING = 3.0  # times the smoothing width; tanh(3) is 99.5 % of the final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
@@ -232,45 +233,3 @@ def friction_parameters(
     pairs = zip(joint_names, fits, strict=True)
     unknown = {name: fit.unknown_because for name, fit in pairs if fit.unknown_because}
     return node_parameters([title], joint_names, unknown, values)
-
-
-def node_parameters(
-    title: Sequence[str],
-    joint_names: Sequence[str],
-    unknown: Mapping[str, str],
-    values: Mapping[str, float | Sequence[float]],
-) -> str:
-    """
-    Return the text of a file for ``--ros-args --params-file``.
-
-    The title is a comment at the top. For each joint in `unknown`, a comment gives the reason why
-    the friction of the URDF is used. A value is a number, or a list in the order of `joint_names`.
-
-    """
-    names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
-    lines = [
-        *(f'# {line}' for line in title),
-        *(
-            f'# {name}: friction unknown, {reason}; -1.0 selects the friction of the URDF.'
-            for name, reason in unknown.items()
-        ),
-        '/**:',
-        '  ros__parameters:',
-        f'    joints: [{names}]',
-        '    include_friction: true',
-    ]
-    for name, value in values.items():
-        if isinstance(value, float):
-            lines.append(f'    {name}: {_decimal(value)}')
-        else:
-            lines.append(f'    {name}: [{", ".join(map(_decimal, value))}]')
-    return '\n'.join(lines) + '\n'
-
-
-def _decimal(value: float) -> str:
-    """Return a number with a decimal point, because ROS would read `1` as an integer."""
-    text = f'{value:.10g}'
-    if 'e' in text:
-        mantissa, exponent = text.split('e')
-        return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'
-    return text if '.' in text else text + '.0'

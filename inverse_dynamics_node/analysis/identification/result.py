@@ -8,7 +8,7 @@ import os
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
 from ...robot.urdf.writer import Friction, rewrite
-from ..diagnosis.friction import node_parameters
+from ..node_parameters import node_parameters
 from ..recordings.signals import Motion
 
 

@@ -1,0 +1,47 @@
+"""Writes identified values as parameters of the node in YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+
+def node_parameters(
+    title: Sequence[str],
+    joint_names: Sequence[str],
+    unknown: Mapping[str, str],
+    values: Mapping[str, float | Sequence[float]],
+) -> str:
+    """
+    Return the text of a file for ``--ros-args --params-file``.
+
+    The title is a comment at the top. For each joint in `unknown`, a comment gives the reason why
+    the friction of the URDF is used. A value is a number, or a list in the order of `joint_names`.
+
+    """
+    names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
+    lines = [
+        *(f'# {line}' for line in title),
+        *(
+            f'# {name}: friction unknown, {reason}; -1.0 selects the friction of the URDF.'
+            for name, reason in unknown.items()
+        ),
+        '/**:',
+        '  ros__parameters:',
+        f'    joints: [{names}]',
+        '    include_friction: true',
+    ]
+    for name, value in values.items():
+        if isinstance(value, float):
+            lines.append(f'    {name}: {_decimal(value)}')
+        else:
+            lines.append(f'    {name}: [{", ".join(map(_decimal, value))}]')
+    return '\n'.join(lines) + '\n'
+
+
+def _decimal(value: float) -> str:
+    """Return a number with a decimal point, because ROS would read `1` as an integer."""
+    text = f'{value:.10g}'
+    if 'e' in text:
+        mantissa, exponent = text.split('e')
+        return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'
+    return text if '.' in text else text + '.0'
