@@ -269,7 +269,7 @@ def check(path: Path) -> Result:
     unknowns, log_det = (
         float(found)
         for found in re.findall(
-            r'(\d+) unknowns, log det of their information (\S+);', done.stdout
+            r'(\d+) unknowns; log det of their information\s+matrix: (\S+)', done.stdout
         )[0]
     )
     count = SAMPLES_PER_SECOND * before.series.duration
