@@ -42,11 +42,11 @@ class UrdfError(InverseDynamicsError):
 
 
 class JointStateError(InverseDynamicsError):
-    """A joint vector has the wrong size, or contains a value that is not finite."""
+    """A joint vector has the wrong size or a value that is not finite."""
 
 
 class ConfigurationError(InverseDynamicsError):
-    """A setting is invalid or does not fit the robot; ``args`` contains one text per problem."""
+    """A setting is invalid or does not fit the robot; ``args`` lists the problems."""
 
     def __str__(self) -> str:
         return '\n'.join(map(str, self.args))
@@ -61,7 +61,7 @@ class RecordingError(InverseDynamicsError):
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """Return a hint such as ``; did you mean 'link1'?``, or '' if no valid name is similar."""
+    """Return a hint such as ``; did you mean 'link1'?``, or '' if no name is similar."""
     closest = difflib.get_close_matches(name, names, 1)
     return f"; did you mean '{closest[0]}'?" if closest else ''
 
@@ -74,24 +74,24 @@ def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
-    """Join the first ``most`` names with commas; if there are more, append the total number."""
+    """Join at most ``most`` names with commas; append the length of a longer list."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Format a number with ``digits`` significant digits, but never round the integer part."""
+    """Format a number with ``digits`` significant digits, but keep the whole integer part."""
     text = f'{value:.{digits}g}'
     return f'{value:.0f}' if 'e+' in text else text
 
 
 def plain(value: Any) -> Any:
-    """Convert an array to a list, to print it without its type; return other values unchanged."""
+    """Convert an array to a list for printing; return other values unchanged."""
     return value.tolist() if hasattr(value, 'tolist') else value
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """Escape control characters; cut a long text after ``most`` characters, and add its length."""
+    """Escape control characters, and cut a text that is longer than ``most`` characters."""
     start = escaped(text[:most])
     return start if len(text) <= most else f'{start}... ({len(text)} characters)'
 
@@ -104,6 +104,6 @@ def escaped(text: str) -> str:
 
 
 def shortened_lines(text: str) -> str:
-    """Limit the number of lines of a message, and the length of each line."""
+    """Limit the number and the length of the lines of a message."""
     lines = text[: _MOST_LINES * _LONGEST_LINE].split('\n', _MOST_LINES)
     return '\n'.join(shortened(line, _LONGEST_LINE) for line in lines)

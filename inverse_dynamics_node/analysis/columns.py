@@ -1,11 +1,11 @@
 """
 Columns of regressions, and least-squares fits.
 
-A column contains the efforts that one unit of an unknown causes. Efforts are linear in gravity, in
-the inertial parameters of bodies and payloads, and in friction. Efforts depend only on certain
-combinations of the inertial parameters, called the base parameters. A QR decomposition with
-pivoting selects the independent columns of a regressor at random states [1]_. All remaining
-columns are combinations of the selected columns.
+A column contains the efforts for one unit of an unknown. The unknowns are inertial parameters,
+gravity and friction, because the efforts are linear in these quantities.
+
+The efforts depend only on some combinations of the inertial parameters, called base parameters. A
+QR decomposition with pivoting finds the base parameters from a regressor at random states [1]_.
 
 References
 ----------
@@ -26,14 +26,14 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
-"""Parameters of a body: mass, first moments and inertia about the origin of the body frame."""
+"""Mass, first moments, and inertia about the origin of the body frame."""
 INDEPENDENT = 1e-8
 """A column is independent if its pivot exceeds this fraction of the largest pivot."""
 STATES_AT_ONCE = 2000  # limits the memory for regressors
 
 
 def direction_of(qd: Floats, width: Floats | float) -> Floats:
-    """Return ``tanh(qd / width)``: the direction of motion, smoothed over a speed `width`."""
+    """Return ``tanh(qd / width)``, the smoothed direction of motion."""
     return np.asarray(np.tanh(qd / width))
 
 
@@ -41,11 +41,12 @@ def friction_columns(
     qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
 ) -> Floats:
     """
-    Return columns for damping, Coulomb friction, load friction and offset, shape (samples, 4).
+    Return the friction columns of one joint, shape (samples, 4).
 
-    `qd` contains the velocities of one joint, and `width` is the speed over which Coulomb friction
-    is smoothed [rad/s or m/s]. `load` is the magnitude of the effort that moves the links [N m or
-    N]. `smooth` applies the smoothing of the measured efforts to columns.
+    The columns belong to damping, Coulomb friction, load friction and offset. `qd` is the velocity
+    [rad/s or m/s], and `width` is the speed over which Coulomb friction is smoothed. `load` is the
+    magnitude of the effort that moves the links [N m or N]. `smooth` is the filter of the measured
+    efforts.
 
     """
     direction = direction_of(qd, width)
@@ -55,9 +56,9 @@ def friction_columns(
 
 def gravity_columns(robot: RobotModel, q: Floats) -> Floats:
     """
-    Return the efforts per 1 m/s^2 of gravity along each axis of the base link.
+    Return the efforts for a gravity of 1 m/s^2 along each axis of the base link.
 
-    The result has the shape (samples, joints, 3), for gravity along x, y and z.
+    The result has the shape (samples, joints, 3).
 
     """
     return np.stack([InverseDynamics(robot, axis).gravity_efforts(q) for axis in np.eye(3)], -1)
@@ -69,10 +70,9 @@ def body_columns(
     """
     Return the regressor columns of the given bodies.
 
-    The states are positions, velocities and accelerations, each of shape (samples, joints).
-    `bodies` contains indices of bodies of the robot, but not of the base. The result has the shape
-    (samples, joints, 10 per body). For each body, the columns have the order of
-    `InverseDynamics.regressor`.
+    `states` contains positions, velocities and accelerations, each of shape (samples, joints).
+    `bodies` contains indices of bodies, but not of the base. The result has the shape (samples,
+    joints, 10 per body). `InverseDynamics.regressor` defines the order of the ten columns.
 
     """
     first: Integers = PARAMETERS * (np.array(bodies) - 1)
@@ -88,15 +88,11 @@ def payload_columns(
     robot: RobotModel, gravity: Floats, link: str, states: tuple[Floats, Floats, Floats]
 ) -> Floats:
     """
-    Return the efforts of a load on a link, separately for each parameter of the load.
+    Return the columns of a payload on a link, shape (samples, joints, 10).
 
-    The parameters are the entries of the load's pseudo-inertia matrix in the frame of the link.
-    The efforts are linear in these entries. `gravity` is the free-fall acceleration in the frame
-    of the base link [m/s^2].
-
-    The result has the shape (samples, joints, 10). The columns are the efforts for a mass of 1 kg,
-    for first moments of 1 kg m along x, y and z, and for second moments xx, yy, zz, xy, xz and yz
-    of 1 kg m^2.
+    The columns belong to the mass [kg], the first moments x, y and z [kg m], and the second
+    moments xx, yy, zz, xy, xz and yz [kg m^2]. All moments are in the link frame. `gravity` is the
+    free-fall acceleration in the base frame [m/s^2].
 
     """
     k = robot.link_index(link)
@@ -112,7 +108,7 @@ def payload_columns(
 
 
 def moment_matrices(parameters: Floats) -> Floats:
-    """Convert parameters of loads, shape (..., 10), to pseudo-inertias, shape (..., 4, 4)."""
+    """Convert payload parameters, shape (..., 10), to pseudo-inertias, shape (..., 4, 4)."""
     matrices = np.zeros((*parameters.shape[:-1], 4, 4))
     for k, (i, j) in enumerate(_MOMENTS):
         matrices[..., i, j] = matrices[..., j, i] = parameters[..., k]
@@ -120,23 +116,23 @@ def moment_matrices(parameters: Floats) -> Floats:
 
 
 SECOND_MOMENTS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
-"""Pairs of axes of the second moments of mass of a load: xx, yy, zz, xy, xz and yz."""
+"""Axes of the second moments xx, yy, zz, xy, xz and yz."""
 _MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), *SECOND_MOMENTS
-"""Row and column of each parameter of a load in the pseudo-inertia matrix."""
+"""Row and column of each payload parameter in the pseudo-inertia."""
 
 
 # ---- Base parameters -----------------------------------------------------------------------
 
 
 class BaseParameters(NamedTuple):
-    """The combinations of inertial parameters on which the efforts depend."""
+    """Combinations of inertial parameters that determine the efforts."""
 
     combinations: Floats
-    """Factors of the parameters in each combination, shape (combinations, parameters)."""
+    """Factor of each parameter in each combination, shape (combinations, parameters)."""
     leading: Integers
     """
-    Index of the leading parameter of each combination. The factor of this parameter is 1 in its
-    own combination and 0 in all other combinations.
+    Index of the leading parameter of each combination. A leading parameter has the factor 1 in one
+    combination, and 0 in all other combinations.
     """
 
     def names(self, links: tuple[str, ...]) -> list[str]:
@@ -148,10 +144,9 @@ class BaseParameters(NamedTuple):
 
 def base_parameters(matrix: Floats) -> BaseParameters:
     """
-    Find the independent combinations of the columns of a matrix, shape (rows, parameters).
+    Find the base parameters from a regressor at random states, shape (rows, parameters).
 
-    The rows are those of a regressor at random states. If columns are linearly
-    dependent, the larger columns are selected.
+    If columns are dependent, the largest columns are selected as leading parameters.
 
     """
     from scipy.linalg import qr, solve_triangular
@@ -174,10 +169,10 @@ def fit_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
 ) -> tuple[Floats, float]:
     """
-    Fit columns with nonnegative factors to a target, shape (rows,).
+    Fit nonnegative factors of columns by least squares.
 
-    `features` contains the columns, shape (rows, columns). Columns in `signed`, such as an offset,
-    may have negative factors. Returns the factors and the sum of squared residuals.
+    `features` has the shape (rows, columns), and `target` has the shape (rows,). Only the factors
+    of `signed` columns may be negative. Returns the factors and the sum of squared residuals.
 
     """
     from scipy.optimize import nnls

@@ -1,4 +1,4 @@
-"""Writes identified values as parameters of the node in YAML."""
+"""Writes identified values as node parameters in YAML."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ def node_parameters(
     """
     Return the text of a file for ``--ros-args --params-file``.
 
-    The title is a comment at the top. For each joint in `unknown`, a comment gives the reason why
-    the friction of the URDF is used. A value is a number, or a list in the order of `joint_names`.
+    The title becomes a comment. `unknown` contains a reason for each joint with unknown friction.
+    Each value is a number, or a list in the order of `joint_names`.
 
     """
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
     lines = [
         *(f'# {line}' for line in title),
         *(
-            f'# {name}: friction unknown, {reason}; -1.0 selects the friction of the URDF.'
+            f'# {name}: friction unknown, because {reason}. -1.0 selects the friction of the URDF.'
             for name, reason in unknown.items()
         ),
         '/**:',
@@ -39,7 +39,7 @@ def node_parameters(
 
 
 def _decimal(value: float) -> str:
-    """Return a number with a decimal point, because ROS would read `1` as an integer."""
+    """Format a number with a decimal point, because ROS would read `1` as an integer."""
     text = f'{value:.10g}'
     if 'e' in text:
         mantissa, exponent = text.split('e')

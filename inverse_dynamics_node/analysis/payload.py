@@ -1,13 +1,13 @@
 """
-Measures the payload of a robot from recordings with and without the payload.
+Measures a payload from recordings with and without the payload.
 
-A robot repeats one motion with and without a payload. The efforts of the two runs differ by the
-efforts of the payload, which are linear in the payload's ten inertial parameters. Friction,
-offsets and errors of link masses affect both runs equally and cancel.
+The robot repeats the same motion in a loaded run and in an empty run. The difference of the
+efforts is due to the payload, because friction, offsets and errors of link masses cancel. The
+efforts are linear in the ten inertial parameters of the payload.
 
-Without an empty run, the inertial parameters of the links are unknown as well. Their errors are
-assumed to be as large as usual in robot descriptions. The standard error of the payload includes
-the effect of these errors.
+Without an empty run, the inertial parameters of the links are unknown as well. A prior assumes
+errors that are usual in robot descriptions. The standard errors of the payload include the effect
+of these errors.
 """
 
 from __future__ import annotations
@@ -43,23 +43,23 @@ from .recordings.signals import Motion, Recording
 
 STILL = 0.01  # [rad/s or m/s]; the arm rests while all joints are slower
 LEAST_REST = 0.5  # [s]; shortest rest in a pose
-SETTLING = 0.2  # [s]; time left out at both ends of a rest
-NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between matching states of both runs
+SETTLING = 0.2  # [s]; removed at both ends of a rest
+NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between matching states
 LEAST_MATCHED = 0.5  # least fraction of the loaded run with a match in the empty run
 WINDOW = 0.15  # [s]; smoothing window
-BLOCKS = 10  # contiguous blocks of a motion, for jackknife estimates of standard errors
+BLOCKS = 10  # number of contiguous blocks for jackknife estimates
 WIDTH = 0.05  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 GAIN = 0.01  # relative error of the gain of each measured effort
-GAIN_ALONE = 0.05  # the same without an empty run; the gain then also scales the arm's weight
+GAIN_ALONE = 0.05  # the same without an empty run, when the gain also scales the arm's weight
 LINK_ERROR = 0.15  # relative error of link masses and mass distributions
-APPARENT = 0.25  # [kg]; apparent payload of an empty arm; 0.02 to 1.5 on real arms
+APPARENT = 0.25  # [kg]; apparent payload of an empty arm, 0.02 to 1.5 on real arms
 REACH_OF_LINKS = 0.1  # [m]; distance of the apparent payload from the link
 RADIUS = 0.05  # [m]; assumed radius of gyration of a payload
 REACH = 0.5  # [m]; expected distance of the centre of mass from the origin of the link
 MOST_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is unknown
 CERTAIN = 3.0  # a payload is certain if its mass exceeds this many standard errors
 LIGHTEST = 0.1  # [kg]; lower bound of the mass in priors and second moments
-LEAST_NOISE = 0.05  # least squared residual relative to the effort, as a fraction of the median
+LEAST_NOISE = 0.05  # lower bound of relative squared residuals, as a fraction of the median
 _SMALLEST = 1e-6  # [kg]
 _ROUNDS, _STEPS = 6, 2
 
@@ -71,7 +71,7 @@ class PayloadEstimate:
     link: str
     """Link that carries the payload."""
     body: RigidBody
-    """The payload in the frame of the link; its inertia is always physically possible."""
+    """The payload in the link frame; the inertia is always physical."""
     mass_error: float
     """Standard error of the mass [kg]."""
     com_error: Floats
@@ -83,7 +83,7 @@ class PayloadEstimate:
     times: Floats
     """Times of the samples, shape (samples,) [s]."""
     measured: Floats
-    """Measured efforts minus arm and friction efforts, shape (samples, joints) [N m or N]."""
+    """Measured efforts without arm and friction, shape (samples, joints) [N m or N]."""
     fitted: Floats
     """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
     duration: float
@@ -91,7 +91,7 @@ class PayloadEstimate:
     poses: int
     """Number of poses in which the arm rested; 0 for a motion."""
     matched: float
-    """Fraction of the loaded run with a match in the empty run; NaN without an empty run."""
+    """Fraction of the loaded run that matches the empty run; NaN without an empty run."""
 
     @property
     def residuals(self) -> Floats:
@@ -100,7 +100,7 @@ class PayloadEstimate:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Axes (x, y, z) along which the recordings do not determine the centre of mass."""
+        """Unknown coordinates of the centre of mass, such as x."""
         large = self.com_error > MOST_COM_ERROR
         return tuple(axis for axis, is_large in zip('xyz', large, strict=True) if is_large)
 
@@ -118,17 +118,15 @@ class _Rows(NamedTuple):
     payload: Floats
     """Columns of the payload, shape (rows, joints, 10)."""
     links: Floats
-    """Columns of the links, shape (rows, joints, 10 per link); none if there is an empty run."""
+    """Columns of the links, shape (rows, joints, 10 per link); none with an empty run."""
     terms: Floats
-    """
-    Columns of terms that act on a single joint, such as friction, shape (rows, joints, terms).
-    """
+    """Columns of friction and other joint terms, shape (rows, joints, terms)."""
     arm: Floats
-    """Modelled efforts of the arm, shape (rows, joints); zero if an empty run cancels them."""
+    """Modelled efforts of the arm, shape (rows, joints); zero with an empty run."""
     target: Floats
-    """Efforts to be explained, shape (rows, joints)."""
+    """Efforts to explain, shape (rows, joints)."""
     block: Integers
-    """Index of the block that contains each row, shape (rows,)."""
+    """Block index of each row, shape (rows,)."""
 
     def where(self, chosen: Booleans) -> _Rows:
         """Return the chosen rows."""
@@ -145,10 +143,10 @@ def measure_payload(
     """
     Measure the payload on a link from recordings with and without the payload.
 
-    Both recordings contain the same motion, or the same poses. Without an empty recording, the
-    robot description must be right. The robot model must not contain the payload. `gravity` is
-    the free-fall acceleration in the frame of the base link [m/s^2]. Raises RecordingError if a
-    recording is too short, or if the runs have too few states in common.
+    Both recordings must contain the same motion, or the same poses. Without the `empty` recording,
+    the masses of the robot description must be accurate. The robot model must not contain the
+    payload. `gravity` is the free-fall acceleration in the base frame [m/s^2]. Raises
+    RecordingError if a recording is too short, or if the two motions differ.
 
     """
     runs = [loaded] if empty is None else [loaded, empty]
@@ -201,7 +199,7 @@ def measure_payload(
 
 
 def _rests(motion: Motion) -> list[slice]:
-    """Return the intervals in which the arm rests in a pose."""
+    """Return the intervals in which the arm rests."""
     is_still: Booleans = np.asarray((np.abs(motion.qd) < STILL).all(axis=1))
     found = []
     for begin, end in pieces(motion.times):
@@ -218,7 +216,7 @@ def _rests(motion: Motion) -> list[slice]:
 
 
 def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
-    """Return one state at rest for each of `rests`, with mean positions and mean efforts."""
+    """Return the mean positions and efforts of each rest."""
     times, q, efforts = (
         np.array([np.mean(signal[each], axis=0) for each in rests])
         for signal in (motion.times, motion.q, motion.efforts)
@@ -228,7 +226,7 @@ def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
 
 
 def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, Booleans]:
-    """Return the nearest empty state of each loaded state, and a mask of the close matches."""
+    """Return the nearest empty state of each loaded state, and whether both states match."""
     from scipy.spatial import cKDTree
 
     q = empty.q.copy()
@@ -239,8 +237,8 @@ def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, 
     is_near: Booleans = np.asarray((np.abs(points - others[index]) < NEAR).all(axis=1))
     if np.mean(is_near) < LEAST_MATCHED:
         raise RecordingError(
-            f'the two runs are different motions: {np.mean(is_near):.0%} of the loaded run is '
-            f'within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s) of the empty run, expected at '
+            f'the two runs are different motions: {np.mean(is_near):.0%} of the loaded states '
+            f'match the empty run within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s), expected at '
             f'least {LEAST_MATCHED:.0%}; record the same motion or poses with and without payload'
         )
     q, qd, qdd, efforts = (x[index] for x in (empty.q, empty.qd, empty.qdd, empty.efforts))
@@ -258,7 +256,7 @@ def _rows(
     empty: Motion | None,
     smooth: Resampler | None,
 ) -> _Rows:
-    """Return the rows of the regression; states at rest are not smoothed."""
+    """Build the rows of the regression; states at rest are not smoothed."""
     robot, states = dynamics.robot, (loaded.q, loaded.qd, loaded.qdd)
     payload = payload_columns(robot, dynamics.gravity, link, states)[:, joints]
     modelled, load = dynamics.efforts(*states)[:, joints], np.abs(loaded.efforts)
@@ -300,7 +298,7 @@ def _with_mass(robot: RobotModel) -> list[int]:
 
 
 def _prior_of_links(robot: RobotModel) -> Floats:
-    """Return the prior precision matrix of the inertial parameters of all links with mass."""
+    """Return the prior precision matrix for the inertial parameters of the links."""
     links = [
         moved_inside(RigidBody(robot.mass[k], robot.com[k], robot.inertia[k]).parameters())
         for k in _with_mass(robot)
@@ -318,7 +316,7 @@ class _Fit:
     """
     Least-squares fit of payload, links and joints, with a prior for all unknowns.
 
-    The unknowns of the payload are its mass m, its first moment h, and its second moment S about
+    The unknowns of the payload are the mass m, the first moment h, and the second moment S about
     the centre of mass. The efforts are linear in m, h and S + h h^T / m.
 
     """
@@ -343,10 +341,9 @@ class _Fit:
             self.x = self._solution()
             residual = self.residual()
         self.weights = self._weights(residual)
-        # The spread between blocks reveals slow changes, which residuals hide. Each fit without a
+        # The spread between blocks reveals slow changes that residuals hide. Each fit without a
         # block estimates the gains again, so the spread is compared with the variance for unknown
-        # gains. The variance for known gains is at most a quarter of the variance for unknown
-        # gains, and would make the standard errors too large.
+        # gains. The smaller variance for known gains would make the standard errors too large.
         ratio = self._between() / _variance(self.covariances()[1], self.x)
         self.weights = self.weights / max(1.0, float(np.mean(ratio)))
         self.x = self._solution()
@@ -363,9 +360,8 @@ class _Fit:
         """Return the inverse variance of each joint."""
         if len(self.products) < len(self.rows.times):
             return weights_of(residual)
-        # With few poses, a joint may fit well by chance, so its variance needs a lower bound. The
-        # bound is relative to the effort: a common bound for all joints exceeded the noise of the
-        # wrist joints.
+        # With few poses, a joint may fit well by chance, so the variance needs a lower bound. The
+        # bound is relative to the effort, because a common bound exceeded the noise of the wrist.
         squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
         size = np.mean(self.rows.target**2, axis=0) + 1e-12
         least = LEAST_NOISE * np.median(squares / size) * size
@@ -377,13 +373,13 @@ class _Fit:
         return np.asarray(self.table @ factors)
 
     def _normal(self, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations; leave out one block if given."""
+        """Return matrix and vector of the normal equations; the block `without` is left out."""
         chosen = np.arange(len(self.products)) != without
         sums = np.tensordot(self.weights, np.sum(self.products[chosen], axis=0), 1)
         return sums[:-1, :-1], sums[:-1, -1]
 
     def _near(self, x: Floats, matrix: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the derivatives of the parameters at x, and precision and mean of the prior."""
+        """Return the parameter derivatives at x, and the precision and mean of the prior."""
         slope = np.eye(self.size)
         slope[:PARAMETERS, :PARAMETERS] = _slope(x)
         mass = max(x[0], LIGHTEST)
@@ -401,7 +397,7 @@ class _Fit:
         return slope, known, mean
 
     def _solution(self, without: int | None = None) -> Floats:
-        """Solve the linearised normal equations; leave out one block if given."""
+        """Solve the linearised normal equations; the block `without` is left out."""
         (matrix, vector), x = self._normal(without), self.x
         for _ in range(_STEPS):
             slope, known, mean = self._near(x, matrix)
@@ -412,7 +408,7 @@ class _Fit:
         return np.asarray(x)
 
     def covariances(self) -> tuple[Floats, Floats]:
-        """Return the covariance of the unknowns, and the part that is due to noise."""
+        """Return the covariance of the unknowns, and the part due to noise."""
         matrix, _ = self._normal()
         slope, known, _ = self._near(self.x, matrix)
         data = slope.T @ matrix @ slope
@@ -447,7 +443,7 @@ def _slope(x: Floats) -> Floats:
 
 
 def _divisor(x: Floats) -> float:
-    """Return the mass as a divisor; replace a mass near zero with a small positive mass."""
+    """Return the mass, or a small positive mass if the mass is near zero."""
     return float(x[0]) if abs(x[0]) > _SMALLEST else _SMALLEST
 
 
@@ -461,6 +457,6 @@ def _variance(covariance: Floats, x: Floats) -> Floats:
 
 
 def _shows_inertia(covariance: Floats, x: Floats) -> bool:
-    """Return whether the measurement clearly improves the prior of the second moments."""
+    """Return whether the measurement clearly improves on the prior of the second moments."""
     moment = max(x[0], LIGHTEST) * RADIUS**2
     return bool(np.sqrt(np.trace(covariance[4:7, 4:7])) < 0.5 * moment)

@@ -1,9 +1,9 @@
 """
-Computes the efforts that motors and gears must provide for a trajectory, or in any pose.
+Computes the efforts that a trajectory requires, and the payload that the effort limits allow.
 
-Gravity efforts over the workspace show which payload the effort limits allow. Poses are samples of
-a low-discrepancy sequence over the joint ranges. A local search starts from the worst samples,
-moves one joint at a time, and finds the worst poses, such as a fully extended arm.
+Gravity efforts are computed in sampled poses of the whole workspace. A local search starts from
+the worst samples and moves one joint at a time. The search finds the worst poses, such as a fully
+extended arm.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
 _CANDIDATES = 33
-"""Number of positions that the search tries for each joint: 11 degrees apart over a full turn."""
+"""Number of positions that the search tries for each joint, 11 degrees apart over a full turn."""
 _WINDOWS = (1.0, 1.0, 0.1, 0.01)
 """Fraction of the joint range in each pass of the search."""
 _STARTS = 3
-"""The search for a worst pose starts from this number of the worst samples."""
+"""Number of worst samples from which the search starts."""
 _MOST_BODIES = 2e8
-"""Largest number of single-body evaluations in the search, which take about ten seconds."""
+"""Largest number of body evaluations in a search, which takes about ten seconds."""
 _TIE = 1e-9
-"""Efforts with a smaller relative difference are regarded as equal."""
+"""Efforts with a smaller relative difference are equal."""
 _ROUNDING = 1e-6
 """Smaller violations of limits are ignored, because files may have only six digits."""
 
@@ -44,8 +44,9 @@ class Workspace:
     robot: RobotModel
     poses: Floats
     """
-    Joint positions, shape (poses, joints) [rad or m]. The worst pose of each joint comes first,
-    followed by the sampled poses.
+    Joint positions, shape (poses, joints) [rad or m].
+
+    The worst pose of each joint comes first. The sampled poses follow.
     """
     efforts: Floats
     """Gravity efforts in the `poses`, shape (poses, joints) [N m or N]."""
@@ -56,13 +57,13 @@ class Workspace:
 
     @property
     def sampled(self) -> slice:
-        """Slice that selects the sampled poses."""
+        """Slice of the sampled poses."""
         return slice(len(self.limits), None)
 
     @property
     def worst(self) -> Integers:
-        """Index, for each joint, of the pose with the largest gravity effort, shape (joints,)."""
-        # If several poses are equally bad, choose the result of the search, which comes first.
+        """Indices of the poses with the largest gravity effort of each joint, shape (joints,)."""
+        # If several poses are equally bad, choose the first pose, which the search found.
         sizes = np.abs(self.efforts)
         highest = np.max(sizes, axis=0) * (1.0 - _TIE) - _TIE * np.max(sizes)
         return np.asarray(np.argmax(sizes >= highest, axis=0))
@@ -74,7 +75,7 @@ class Workspace:
 
     @property
     def hardest(self) -> int:
-        """Index of the joint closest to its limit or, without limits, with the largest effort."""
+        """Index of the joint nearest to its limit. Without limits, the largest effort decides."""
         ratios = self.peaks / self.limits
         return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
 
@@ -84,20 +85,18 @@ class PayloadCapacity(NamedTuple):
 
     link: str
     mass: float
-    """
-    Largest mass [kg]: inf if no limit restricts the mass, 0 if gravity alone exceeds a limit.
-    """
+    """Largest mass [kg]; inf if no limit restricts the mass, 0 if the arm cannot hold itself."""
     joint: str | None
     """The joint that reaches its limit first; None if no joint reaches a limit."""
     pose: Floats
-    """Pose in which this joint reaches its limit, shape (joints,) [rad or m]."""
+    """Pose in which the joint reaches its limit, shape (joints,) [rad or m]."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
-    """Return the lower and upper ends of joint ranges [rad or m], limited to one turn each."""
+    """Return the lower and upper ends of joint ranges of at most one turn [rad or m]."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
     is_wide = ~robot.is_prismatic_joint & ~(upper - lower <= 2.0 * math.pi)
-    # Choose the turn from -180 to 180 degrees if the limits allow this turn.
+    # Prefer the turn from -180 to 180 degrees.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
     lower[is_wide], upper[is_wide] = start, start + 2.0 * math.pi
     return lower, upper
@@ -111,8 +110,8 @@ def explore(
     """
     Compute the gravity efforts over the whole workspace.
 
-    The poses are a Sobol sequence; their number is rounded up to a power of two. The result is
-    always the same for the same arguments. `progress` is called repeatedly with the completed
+    The poses are a Sobol sequence, so that equal arguments give equal results. The number of
+    samples is rounded up to a power of two. `progress` is called repeatedly with the completed
     fraction, 0 to 1. Raises ConfigurationError if the robot has no movable joint, or if fewer than
     two samples are requested.
 
@@ -136,14 +135,14 @@ def explore(
     for joint in range(n):
         related = related_joints[joint]
         moved = np.flatnonzero(related)
-        # If there are too many joints to move, choose the nearest joints, which matter most.
+        # If there are too many joints to move, move the nearest joints, which matter most.
         nearest = np.sort(moved[np.argsort(np.abs(moved - joint), kind='stable')[:most_joints]])
 
         def size(poses: Floats, joint: int = joint) -> Floats:
             return np.asarray(np.abs(dynamics.gravity_efforts(poses)[:, joint]))
 
         tops = [
-            # Set joints that do not affect this joint to zero: the pose is easier to imagine.
+            # Set unrelated joints to zero, because the pose is then easier to imagine.
             _climb(
                 size,
                 np.where(related, poses[k], np.clip(0.0, lower, upper)),
@@ -170,7 +169,7 @@ def explore(
 
 
 def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
-    """Limit the search: return the number of starts, the windows and the number of joints."""
+    """Return the number of starts, the windows, and the largest number of joints to move."""
     for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
         bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
         most_joints = max(1, int(_MOST_BODIES / bodies))
@@ -185,9 +184,9 @@ def payload_capacity(
     """
     Compute the largest payload that the robot can hold at rest within its effort limits.
 
-    The payload is a point mass at the origin of a link. The robot may already carry a payload,
-    which must be included in `workspace`. The capacity is the mass that can be added. The capacity
-    is valid for all poses of the workspace, and for the worst pose that a search finds. Raises
+    The payload is a point mass at the origin of a link. If the robot already carries a payload,
+    `workspace` must include this payload, and the capacity is the additional mass. The capacity is
+    valid for all poses of the workspace, and for the worst pose that a search finds. Raises
     ConfigurationError if the link does not exist.
 
     Gravity efforts are linear in the mass, so two efforts per pose determine the largest mass.
@@ -205,7 +204,7 @@ def payload_capacity(
         """Return the mass that each joint can hold in each pose, shape (poses, joints) [kg]."""
         per_kilogram = laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
         efforts, slope = dynamics.gravity_efforts(poses), np.abs(per_kilogram)
-        # Existing effort in the direction in which the added mass acts.
+        # Existing effort in the direction of the added effort.
         used = efforts * np.sign(per_kilogram)
         with np.errstate(divide='ignore', invalid='ignore'):
             found = np.where(slope > 1e-12, (limits - used) / slope, math.inf)
@@ -214,7 +213,7 @@ def payload_capacity(
 
     def shortage(poses: Floats) -> Floats:
         least: Floats = np.min(masses(poses), axis=1)
-        # The shortage is finite, and larger for smaller masses.
+        # The shortage is finite, and increases when the mass decreases.
         return 1.0 / (np.minimum(least, 1e9) + 1e-6)
 
     everywhere = np.min(masses(workspace.poses), axis=1)
@@ -243,9 +242,9 @@ def _climb(
     """
     Maximise a function of the pose, one joint at a time, in smaller and smaller windows.
 
-    Gravity efforts are sinusoidal in revolute joint positions and linear in prismatic joint
-    positions. Therefore, there are few local maxima. If several positions of a joint lead to the
-    same value, the position nearest to zero is chosen.
+    There are few local maxima, because gravity efforts are sinusoidal functions of revolute joints
+    and linear functions of prismatic joints. If several positions of a joint are equally good, the
+    position nearest to zero is chosen.
 
     """
     pose: Floats = start.copy()
@@ -285,7 +284,7 @@ class EffortRequirements(NamedTuple):
     terms: EffortTerms
     """Terms of the efforts, such as gravity, each of shape (times, joints) [N m or N]."""
     peak: Floats
-    """Effort with the largest absolute value, with its sign, shape (joints,) [N m or N]."""
+    """Signed effort with the largest absolute value, shape (joints,) [N m or N]."""
     peak_time: Floats
     """Time of the peak effort, shape (joints,) [s]."""
     rms: Floats
@@ -297,7 +296,7 @@ class EffortRequirements(NamedTuple):
     power: Floats
     """Largest product of effort and velocity, shape (joints,) [W]; 0 if the joint only brakes."""
     braking: Floats
-    """Largest power that the joint absorbs, shape (joints,) [W]; 0 if it never brakes."""
+    """Largest power that the joint absorbs, shape (joints,) [W]; 0 if the joint never brakes."""
     effort_limits: Floats
     """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
     velocity_limits: Floats
@@ -317,10 +316,10 @@ def effort_requirements(
     Compute the efforts, speeds and powers that a trajectory requires.
 
     The trajectory contains velocities and accelerations of any joints of the robot, in any order.
-    The joints of the result have the same order. `others` contains one position for every joint of
-    the robot [rad or m], by default zero. The positions of joints in the trajectory are ignored.
-    Raises TrajectoryError if a joint is unknown or named twice, and JointStateError if a value is
-    not finite.
+    The joints of the result have the same order. `others` contains the positions of all joints of
+    the robot [rad or m], by default zero. For joints of the trajectory, these positions are
+    ignored. Raises TrajectoryError if a joint is unknown or named twice. Raises JointStateError if
+    a value is not finite.
 
     """
     robot = dynamics.robot
@@ -355,7 +354,7 @@ def effort_requirements(
 
 
 def _rms(times: Floats, values: Floats) -> Floats:
-    """Compute the root mean square over time by the trapezoidal rule; time steps may differ."""
+    """Compute the root mean square over time by the trapezoidal rule."""
     if len(times) == 1:
         return np.asarray(np.abs(values[0]))
     steps = np.diff(times)[:, np.newaxis]

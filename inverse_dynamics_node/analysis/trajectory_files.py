@@ -1,4 +1,4 @@
-"""Reads trajectories from YAML, CSV and rosbag2 files, and writes them as YAML and CSV."""
+"""Reads trajectories from YAML, CSV and rosbag2 files, and writes YAML and CSV files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ trajectory files:
               joint states. --topic chooses another topic"""
 
 LATEST_START = 1e5
-"""If the first time is later than this, the times are clock times [s]; a day has 86 400 s."""
+"""Times that start later than this value are clock times [s]; a day has 86 400 s."""
 _FIELDS = ('positions', 'velocities', 'accelerations')
 _QUANTITIES = ('position', 'velocity', 'acceleration')
 _DIGITS = 9
@@ -41,7 +41,7 @@ _DEFAULT_TOPIC = '/joint_states'
 _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
 """Fields of other messages that contain a trajectory."""
 _DEEPEST = 20
-"""Largest nesting depth of a file; a trajectory in an action goal has six levels."""
+"""Largest nesting depth of a file. A trajectory in an action goal has six levels."""
 _WHOLE_OUTPUT = 'print the whole message with `ros2 topic echo --full-length`'
 
 
@@ -65,7 +65,7 @@ def read_trajectory(
     `path` is a file, or the folder of a recording. `topic` selects a topic of the recording. In
     CSV files and joint states, joints that are not in `joint_names` are ignored. `progress` is
     called regularly with the fraction read so far, 0 to 1. Raises TrajectoryError if the file
-    contains no complete trajectory, and OSError if the file cannot be opened.
+    contains no complete trajectory. Raises OSError if the file cannot be opened.
 
     """
     try:
@@ -79,7 +79,7 @@ def read_trajectory(
     except UnicodeDecodeError:
         kinds = '.yaml, .json, .csv, .mcap or .db3'
         raise TrajectoryError(f'{path}: is not a text file, expected {kinds}') from None
-    except RecordingError as error:  # the message contains the path
+    except RecordingError as error:  # the message already contains the path
         raise TrajectoryError(str(error)) from None
     except TrajectoryError as error:
         raise TrajectoryError(f'{path}: {error}') from None
@@ -93,10 +93,10 @@ def read_trajectory(
 
 def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
     """
-    Write a CSV file for `read_trajectory`, with additional columns `<joint>.effort`.
+    Write a CSV file that `read_trajectory` can read, with additional columns `<joint>.effort`.
 
-    The trajectory has velocities and accelerations. Efforts have the shape (times, joints) [N m or
-    N].
+    The trajectory must have velocities and accelerations. `efforts` has the shape (times, joints)
+    [N m or N].
 
     """
     table = np.column_stack([trajectory.times, *_arrays(trajectory), efforts])
@@ -111,8 +111,8 @@ def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None 
     """
     Write a trajectory_msgs/JointTrajectory as YAML that `ros2 topic pub` accepts.
 
-    The trajectory has velocities and accelerations. Efforts have the shape (times, joints) [N m or
-    N]. A controller without an effort interface rejects a trajectory with efforts.
+    The trajectory must have velocities and accelerations. `efforts` has the shape (times, joints)
+    [N m or N]. A controller without an effort interface rejects a trajectory with efforts.
 
     """
     import yaml
@@ -168,11 +168,11 @@ def _from_yaml(text: str) -> LoadedTrajectory:
 
 def _documents(text: str) -> Iterator[Any]:
     """
-    Yield the documents of a YAML text as lists, mappings and text; numbers remain text.
+    Yield the documents of a YAML text as lists, mappings and text.
 
     Unlike the loaders of PyYAML, this parser neither recurses nor converts values. Therefore, a
-    file cannot exhaust the stack, contain itself, or create other objects. The parser is also
-    several times faster than the loaders.
+    file cannot exhaust the stack or create other objects, and numbers remain text. The parser is
+    also several times faster than the loaders.
 
     """
     import yaml
@@ -198,7 +198,7 @@ def _documents(text: str) -> Iterator[Any]:
                 names = (name if isinstance(name, str) else '' for name in value[::2])
                 value = dict(zip(names, value[1::2], strict=True))
         elif isinstance(event, yaml.AliasEvent):
-            if event.anchor not in anchors:  # also if a list contains itself
+            if event.anchor not in anchors:  # this also happens if a list contains itself
                 line = event.start_mark.line + 1
                 raise TrajectoryError(
                     f'line {line}: alias *{event.anchor} is used before it is defined'
@@ -216,7 +216,7 @@ def _documents(text: str) -> Iterator[Any]:
 
 
 def _unwrapped(document: Any) -> dict[str, Any] | None:
-    """Return the trajectory in a document, an action goal or a planner response, or None."""
+    """Return the trajectory in a document, such as an action goal, or None."""
     while isinstance(document, dict) and 'joint_names' not in document:
         document = next((document[name] for name in _ENCLOSING if name in document), None)
     is_complete = isinstance(document, dict) and ('points' in document or 'positions' in document)
@@ -224,7 +224,7 @@ def _unwrapped(document: Any) -> dict[str, Any] | None:
 
 
 def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
-    """Return times and rows of the points of a JointTrajectory."""
+    """Return the times and rows of the points of a JointTrajectory."""
     if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
         raise TrajectoryError(
             f'points is not a list of points; if it contains "...", {_WHOLE_OUTPUT}'
@@ -234,7 +234,7 @@ def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
 
 
 def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
-    """Return times and rows of a document with plain lists."""
+    """Return the times and rows of a document with plain lists."""
     if not isinstance(document.get('times'), list):
         raise TrajectoryError('no list of times [s]')
     times = _numbers(document['times'], len(document['times']), 'times')
@@ -249,7 +249,7 @@ def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
 
 
 def _trajectory(names: Any, times: Any, rows: dict[str, list[Any]]) -> LoadedTrajectory:
-    """Check and convert joint names, times, and the rows of every field."""
+    """Check and convert joint names, times and rows."""
     if not isinstance(names, list) or not names or not all(isinstance(x, str) for x in names):
         raise TrajectoryError(f'joint_names is {_short(names)}, expected a list of names')
     arrays: list[Any] = []
@@ -340,7 +340,7 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
 
 
 class _Longest(NamedTuple):
-    """The first of the longest trajectories of a topic."""
+    """The trajectory of a topic with the most points."""
 
     topic: str
     message: Any
@@ -407,7 +407,7 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
 def _longest_trajectories(
     bag: Bag, topics: Sequence[str], progress: Callable[[float], None]
 ) -> list[_Longest]:
-    """Find the longest trajectory of each topic, and sort the results from longest to shortest."""
+    """Return the longest trajectory of each topic, sorted from longest to shortest."""
     found: list[_Longest] = []
     for topic in topics:
         longest, number, total = None, 0, 0
@@ -445,7 +445,7 @@ def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
 def _from_states(
     messages: Iterable[tuple[int, Any]], joint_names: Sequence[str]
 ) -> LoadedTrajectory:
-    """Convert the joint states that have the most frequent list of names."""
+    """Convert the joint states with the most frequent list of names."""
     by_names: dict[tuple[str, ...], list[tuple[float, Any]]] = {}
     for received, message in messages:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
@@ -466,7 +466,7 @@ def _from_states(
     notes = [f'{len(rising)} joint states']
     dropped = len(found) - len(rising)
     if dropped:
-        notes.append(f'ignored {dropped} joint states that are not later than the previous one')
+        notes.append(f'ignored {dropped} joint states that are not later than the previous state')
     unknown = [name for name in names if name not in joint_names]
     if unknown:
         notes.append(f'ignored joints that the robot does not have: {", ".join(unknown)}')

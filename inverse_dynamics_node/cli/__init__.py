@@ -1,1 +1,1 @@
-"""The command `inverse_dynamics`; most of its subcommands do not need ROS."""
+"""The command-line program `inverse_dynamics`, which mostly runs without ROS."""

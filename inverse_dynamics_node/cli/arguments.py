@@ -1,4 +1,4 @@
-"""Parses command lines, defines the arguments that commands share, and loads robots."""
+"""Parses command lines, defines shared arguments, and loads robots."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from .console import waiting
 from .output_files import output_path, picture_path
 
 ROBOT, RESULT = 'robot and load', 'result'
-"""Titles of two groups of options; most commands have both groups."""
+"""Titles of two groups of options that most commands have."""
 
 
 class CommandParser(argparse.ArgumentParser):
     """
     The parser of one command.
 
-    The help is wrapped to the width of the terminal; paragraphs with indented lines stay as they
-    are. The help groups the options under four titles: `ROBOT`, `own` for the options specific to
-    this command, `RESULT`, and 'help'. If an option is mistyped, the error message suggests a
+    The help is wrapped to the width of the terminal, except for paragraphs with indented lines.
+    The options are in four groups: `ROBOT`, `own`, `RESULT` and 'help'. The group `own` is for
+    options that only this command has. If an option is mistyped, the error message suggests a
     correction.
     """
 
@@ -49,19 +49,19 @@ class CommandParser(argparse.ArgumentParser):
         self.add_argument('-h', '--help', group='help', action='help', help='show this text')
 
     def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:
-        """Add an argument; for an option, `group` is the title of the group, such as `RESULT`."""
+        """Add an argument, or add an option to the group with the title `group`."""
         if not names[0].startswith('-'):
             return super().add_argument(*names, **properties)
         self._names += names
         return self._option_groups[group or self._own].add_argument(*names, **properties)
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Parse the arguments of the command; print an error and exit with 2 if one is wrong."""
+        """Parse the arguments; if an argument is wrong, print an error and exit with 2."""
         for argument in arguments:
             name = argument.partition('=')[0]
             if name == '--':
                 break
-            # Checked here, because argparse would report a missing argument first.
+            # Without this check, argparse would report a missing argument first.
             if name.startswith('--') and not any(x.startswith(name) for x in self._names):
                 hint = did_you_mean(name, self._names)
                 self.error(f"there is no option '{shortened(name)}'{hint}")
@@ -69,7 +69,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def _fitting(text: str, width: int) -> str:
-    """Wrap the paragraphs of a text; paragraphs with indented lines stay as they are."""
+    """Wrap the paragraphs of a text that have no indented lines."""
     paragraphs = text.strip('\n').split('\n\n')
     return '\n\n'.join(
         paragraph if '\n ' in paragraph else '\n'.join(wrapped(paragraph, width))
@@ -101,7 +101,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 
 def add_link(parser: CommandParser, role: str = '') -> None:
-    """Add the option --link; `role` describes a further use, at the end of the help."""
+    """Add the option --link; the help ends with `role`."""
     text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -137,10 +137,9 @@ def add_friction(parser: CommandParser) -> None:
 
 def add_picture(parser: CommandParser, default: str = '') -> None:
     """
-    Add the option --picture.
+    Add the option --picture, and add --no-picture if the command draws by default.
 
-    If `default` is given, the command writes a picture unless --no-picture is given. The help
-    shows `default` as the name of the file.
+    The help shows the file name `default`, which is empty if the command draws only on request.
     """
     text = f' (default: {default})' if default else ' (default: no picture)'
     parser.add_argument(
@@ -157,7 +156,7 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
 
 
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
-    """Return the file for the picture, or None with --no-picture."""
+    """Return the path of the picture, or None with --no-picture."""
     return None if options.no_picture else options.picture or Path(default)
 
 
@@ -180,14 +179,14 @@ def add_force(parser: CommandParser) -> None:
 
 
 def add_strict(parser: CommandParser, condition: str) -> None:
-    """Add the option --strict; the help quotes the condition."""
+    """Add the option --strict; the help quotes `condition`."""
     parser.add_argument(
         '--strict', group=RESULT, action='store_true', help=f'exit with 3 if {condition}'
     )
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; `which` completes the help text "position of a joint that ..."."""
+    """Add the option --at; `which` completes the help "position of a joint that ..."."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -201,7 +200,7 @@ def add_at(parser: CommandParser, which: str) -> None:
 
 
 def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return a function that parses a number; its error messages quote `expected`."""
+    """Return a function that parses a number, and quotes `expected` in its error messages."""
 
     def parse(text: str) -> float:
         try:
@@ -238,35 +237,35 @@ def _payload(text: str) -> list[float]:
 
 
 def read_source_text(path: Path | str) -> Path | str:
-    """Return the text of standard input if the path is ``-``; return another path unchanged."""
+    """Replace the path ``-`` by the text of standard input, which must be XML."""
     if str(path) != '-':
         return path
     text = sys.stdin.read()
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # the text could be mistaken for a path
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # other text would be taken for a path
         raise UrdfError(['is not XML'], 'standard input')
     return text
 
 
 def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> InverseDynamics:
     """
-    Load a robot description, and compile the functions that compute the joint efforts.
+    Load a robot description, and compile its inverse dynamics.
 
     The path is a file, ``-`` for standard input, or XML text. Gravity is the free-fall
     acceleration in the frame of the base link [m/s^2]. Raise UrdfError if the description cannot
-    be used, and ConfigurationError if gravity does not consist of three finite numbers.
+    be used. Raise ConfigurationError if gravity is not three finite numbers.
     """
     source = read_source_text(path)
-    with waiting('loading (the first time, compiling takes up to a minute)'):
+    with waiting('loading (compiling takes up to a minute the first time)'):
         return InverseDynamics(load_urdf(source), gravity)
 
 
 def stem_of(path: Path) -> str:
-    """Return the prefix for the names of output files: the path's stem, or 'robot' for ``-``."""
+    """Return the stem of the path, or 'robot' for standard input."""
     return 'robot' if str(path) == '-' else path.stem
 
 
 def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> str:
-    """Attach the payload given on the command line, if any; return a description for titles."""
+    """Attach the payload of --payload, and return a description of the payload."""
     if options.payload is None:
         return ''
     link = options.link or last_link(dynamics.robot)

@@ -106,7 +106,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _show(text: str, tables: Iterable[Table], warnings: Sequence[ModelWarning]) -> None:
-    """Print the verdict, the tables and the warnings."""
     say(text)
     print()
     show(*tables)
@@ -119,11 +118,11 @@ def _usable(warnings: Sequence[ModelWarning]) -> str:
 
 
 def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
-    """Say how close gravity brings joints to their limits, and how much the robot can carry."""
+    """Summarize the gravity efforts and the payload capacity."""
     ratios = workspace.peaks / workspace.limits  # 0 without a limit
     if not np.isfinite(workspace.limits).any():
         return 'No joint has an effort limit.'
-    # all joints within half a percentage point of the largest ratio
+    # all joints with nearly the largest ratio
     names = workspace.robot.joint_names
     top = [name for name, x in zip(names, ratios, strict=True) if x > ratios.max() - 0.005]
     text = f'Gravity takes at most {ratios.max():.0%} of an effort limit ({listed(top)}).'
@@ -131,11 +130,11 @@ def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
         return f'{text} The robot cannot hold itself in every pose.'
     if payload.joint is None:
         return f"{text} A payload at link '{payload.link}' loads no joint with an effort limit."
-    return f"{text} Payload left at link '{payload.link}': {payload.mass:.3g} kg."
+    return f"{text} Largest payload at link '{payload.link}': {payload.mass:.3g} kg."
 
 
 def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
-    """Return a table of each joint's gravity efforts and worst pose, with the payload capacity."""
+    """Return a table of gravity efforts, worst poses and the payload capacity."""
     robot, limits = workspace.robot, workspace.limits
     places = decimals(workspace.efforts)
     rows = []
@@ -168,13 +167,13 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     )
     if workspace.is_search_shortened:
         notes += (
-            'With this many joints, the search for the worst poses is not thorough: other poses '
-            'may take more effort.',
+            'With this many joints, the search for the worst poses is shortened: other poses may '
+            'take more effort.',
         )
     if is_too_wide:
         notes += ('The worst poses are too long for this table: --poses FILE writes them as CSV.',)
     count = len(workspace.poses) - len(rows)
-    title = f'Efforts that hold the robot, over {count} poses and the worst poses near them'
+    title = f'Efforts that hold the robot, over {count} poses and the worst poses nearby'
     return Table(
         title,
         tuple(columns[k] for k in shown),
@@ -186,18 +185,18 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
 
 
 def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
-    """Describe the largest payload that the robot can hold, and the joint that limits it."""
+    """Describe the largest payload that the robot can hold, and the limiting joint."""
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:
-        return f'Payload left {where}: unlimited, because it loads no joint with an effort limit.'
+        return f'Largest payload {where}: unlimited, because no loaded joint has an effort limit.'
     at = f'{payload.joint} reaches its limit first, at {pose_in_words(robot, payload.pose)}'
     if payload.mass == 0.0:
-        return f'Payload left {where}: none, because gravity alone exceeds a limit; {at}.'
-    return f'Payload left {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
+        return f'Largest payload {where}: none, because gravity alone exceeds a limit; {at}.'
+    return f'Largest payload {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
 
 
 def pose_in_words(robot: RobotModel, pose: Floats) -> str:
-    """List the joints that are not at zero; if there are many, only those farthest from zero."""
+    """List the positions of the joints that are farthest from zero."""
     units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
     shown = [
@@ -212,8 +211,8 @@ def pose_in_words(robot: RobotModel, pose: Floats) -> str:
 def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
     """Return warnings about joints that cannot hold the robot in every pose."""
     hint = (
-        'check the masses and the limit; if they are right, the arm falls in such poses unless it '
-        'has springs, which a URDF does not describe'
+        'check the masses and the limit; if they are right, the arm falls in such poses unless '
+        'springs hold the arm'
     )
     return tuple(
         ModelWarning(

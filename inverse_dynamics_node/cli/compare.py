@@ -136,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:
-    """Select the samples between two times, in seconds since the first sample."""
+    """Select the samples between two times [s] after the first sample."""
     times = recording.times - recording.times[0]
     chosen = np.ones(len(times), dtype=bool)
     if start is not None:
@@ -158,7 +158,7 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 
 
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
-    """Write friction and rotor inertia as parameters of the node, in the robot's joint order."""
+    """Write the friction and the rotor inertia of all joints as parameters of the node."""
     joints: list[JointResidual] = sorted(
         result.joints, key=lambda joint: joint_names.index(joint.name)
     )

@@ -1,8 +1,8 @@
 """
 Prints results in colours on a terminal, and as plain text elsewhere.
 
-Unprintable characters are escaped, because they could begin an escape sequence or change the
-direction of the text. Names in files and messages therefore cannot control the terminal.
+Unprintable characters are escaped, so that names from files and messages cannot control the
+terminal.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ _COLOURS = {
 
 
 def show(*tables: Table) -> None:
-    """Print tables, with an empty line after each."""
+    """Print each table and an empty line."""
     terminal = _terminal()
     for table in tables:
         if terminal is None:
             print(as_text(table, whole_names=not sys.stdout.isatty()), end='\n\n')
         else:
-            # The terminal wraps lines that are too long.
+            # With soft_wrap, the terminal wraps long lines.
             _print_in_colour(terminal, table_lines(table, terminal.width), soft_wrap=True)
             terminal.print()
 
 
 def show_warnings(warnings: Sequence[ModelWarning]) -> None:
-    """Print warnings with their hints and an empty line; without warnings, print nothing."""
+    """Print the warnings with their hints, and an empty line."""
     terminal = _terminal()
     if not warnings:
         return
@@ -81,7 +81,7 @@ def waiting(label: str) -> Iterator[None]:
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on a terminal; yield a function that sets the progress, from 0 to 1."""
+    """Show a progress bar on a terminal; yield a function that sets the completed fraction."""
     terminal = _terminal(stderr=True)
     if terminal is None:
         yield lambda fraction: None
@@ -106,7 +106,7 @@ class EscapedOutput:
         return len(text)
 
     def writelines(self, lines: Any) -> None:
-        """Write lines that already contain their line ends."""
+        """Write lines, without adding line ends."""
         for line in lines:
             self.write(line)
 

@@ -1,8 +1,4 @@
-"""
-The command `demo`: runs the node on a simulated robot.
-
-This module needs ROS; `main` imports it only when the command runs.
-"""
+"""The command `demo`, which runs the node on a simulated robot and needs ROS."""
 
 from __future__ import annotations
 
@@ -59,9 +55,9 @@ exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 
 
 CALIBRATE = 'calibrate'
-"""The scenario that runs the robot twice, and identifies its parameters between the runs."""
+"""The scenario that identifies the robot between two runs."""
 _FRACTION = 0.6
-"""The motion uses this fraction of the limits; the rest is a reserve for tracking errors."""
+"""The motion uses this fraction of the limits, because tracking errors need a reserve."""
 
 Draw = Callable[[Path], None]
 
@@ -100,19 +96,19 @@ def _new_folder(text: str) -> Path:
 
 
 class _Parser(CommandParser):
-    """A parser that also checks the values of the demo's options."""
+    """A parser that also checks the values of the options."""
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Parse the arguments; print an error and exit with 2 if one is wrong."""
+        """Parse the arguments; if an argument is wrong, print an error and exit with 2."""
         options = super().parse(arguments)
         name = options.scenario
         least = 5.0 if name == CALIBRATE else SCENARIOS[name].least_duration
         if not 50.0 <= options.rate <= 5000.0:
-            self.error(f'--rate {options.rate:g} is outside 50 to 5000 Hz')
+            self.error(f'--rate is {options.rate:g} Hz, expected 50 to 5000 Hz')
         if not least <= options.duration < math.inf:
-            self.error(f'--duration {options.duration:g} is not {least:g} s or more')
+            self.error(f'--duration is {options.duration:g} s, expected {least:g} s or more')
         if options.domain is not None and not 0 <= options.domain <= 232:
-            self.error(f'--domain {options.domain} is outside 0 to 232')
+            self.error(f'--domain is {options.domain}, expected 0 to 232')
         return options
 
 
@@ -197,7 +193,7 @@ def _add_files(parser: CommandParser) -> None:
 def _run_scenario(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Run a scenario of the simulation; return the verdict, and a function that draws the run."""
+    """Run a scenario; return the verdict, and a function that draws the picture."""
     result = run_demo(options, stopped)
 
     def draw(path: Path) -> None:
@@ -212,7 +208,7 @@ def _run_scenario(
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Run a motion before and after identification; return the same as `_run_scenario`."""
+    """Run a motion before and after an identification; return the same as `_run_scenario`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -244,7 +240,7 @@ def _run_identification(
 
 
 class _ExcitationMotion:
-    """An excitation motion, extended to all joints; before and after it, the joints rest."""
+    """An excitation motion for all joints, which rest before and after the motion."""
 
     def __init__(self, excitation: Excitation) -> None:
         self._series, self._limits = excitation.series, excitation.limits
@@ -263,7 +259,7 @@ def _runs(
     options: argparse.Namespace,
     stopped: Callable[[], bool],
 ) -> tuple[History, History, IdentificationResult]:
-    """Follow the motion with the URDF and, after identification, with the calibrated URDF."""
+    """Run with the URDF, identify the robot, and run with the calibrated URDF."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         actual, recorded = folder / 'actual.urdf', folder / 'recorded'
@@ -297,7 +293,7 @@ def _table(
     errors: tuple[Floats, Floats],
     result: IdentificationResult,
 ) -> Table:
-    """Return a table of the errors of both runs, and of simulated and identified parameters."""
+    """Return a table of tracking errors, simulated parameters and identified parameters."""
     found = {joint.name: joint.terms for joint in result.joints}
     rows = []
     for k, name in enumerate(setup.robot.joint_names):

@@ -49,7 +49,7 @@ or position is exceeded, and --strict was given."""
 
 _EXCEEDED = 3
 _FAR_BEYOND = 10.0
-"""If an effort or a speed exceeds its limit by this factor, its unit is probably wrong."""
+"""Beyond this multiple of the limit, an effort or a speed probably has a wrong unit."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 _rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
@@ -167,7 +167,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
-    """Say whether the motion stays within the limits, and how close it comes to them."""
+    """State whether the motion stays within the limits."""
     quantities = (
         ('effort', np.abs(requirements.peak) / requirements.effort_limits),
         ('speed', requirements.speed / requirements.velocity_limits),
@@ -218,11 +218,10 @@ def _summary(
 
 
 def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
-    """Return warnings about efforts and speeds so large that a unit is probably wrong."""
+    """Return warnings about efforts and speeds that are far beyond the limits."""
     found = []
     hint = (
-        'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '
-        'measured states, try --smooth 10'
+        'check the units: positions in rad or m, times in s; for measured states, try --smooth 10'
     )
     for k, name in enumerate(fine.joint_names):
         ratios = (
@@ -243,7 +242,7 @@ def _count(number: int, noun: str) -> str:
 def requirement_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
 ) -> list[Table]:
-    """Return a table of peaks and means with the limits, and a table of the effort terms."""
+    """Return a table of peaks and limits, and a table of the terms of the efforts."""
     index = robot.joint_indices(fine.joint_names)
     places = decimals(requirements.peak)
     rows, parts = [], []
@@ -291,7 +290,7 @@ def requirement_tables(
             'Terms of the efforts (RMS)',
             ('joint', *_TERMS, 'total'),
             tuple(parts),
-            ('inertia: due to accelerations; velocity: Coriolis and centrifugal',),
+            ('the velocity term contains the Coriolis and centrifugal efforts',),
         ),
     ]
 

@@ -1,4 +1,4 @@
-"""The command `excite`: plans the motion from which masses and friction are identified."""
+"""The command `excite`: plans a motion for identifying masses and friction."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ exit code: 0 done; 1 no safe motion was found, or a file cannot be read or writt
 arguments."""
 
 _YAML_RATE = 20.0
-"""Points per second of the JointTrajectory [Hz]; controllers interpolate between the points."""
+"""Rate of the points in the JointTrajectory [Hz]."""
 _SLOW = 0.2
-"""Fraction of the speed limits at which the arm moves to the start pose."""
+"""Fraction of the speed limits for the motion to the start pose."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
 _speed = arguments.number('a factor above 0 and up to 1', lambda value: 0.0 < value <= 1.0)
 _height = arguments.number("a height or 'none'", math.isfinite)
@@ -236,7 +236,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
-    """Return the motion limits and the obstacles from the command line."""
+    """Return the limits and the obstacles that the options give."""
     limits = motion_limits(
         robot, options.joints, options.fraction, dict(options.range), dict(options.at)
     )
@@ -245,7 +245,7 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
         centre, lengths = np.array(values).reshape(2, 3)
         if not np.isfinite(values).all() or not (lengths > 0.0).all():
             raise ConfigurationError(
-                f'box is {values}; expected a centre and three lengths above 0'
+                f'--box is {values}, expected a centre and three lengths above 0'
             )
         boxes.append(np.array([centre - 0.5 * lengths, centre + 0.5 * lengths]))
     with waiting('reading collision shapes'):
@@ -254,14 +254,14 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
 
 
 def _seconds_to_start(excitation: Excitation) -> float:
-    """Return a duration [s] that is long enough for every joint to cross its range slowly."""
+    """Return a duration [s] in which every joint can cross its range slowly."""
     limits = excitation.limits
     longest = float(np.max(2.0 * limits.half / (_SLOW * limits.speeds)))
     return float(max(5.0, math.ceil(longest)))
 
 
 def _to_start(excitation: Excitation) -> Trajectory:
-    """Return a trajectory with a single point: the start pose, at rest."""
+    """Return a trajectory with one point, which is the start pose at rest."""
     q, _, _ = excitation.series.sample(np.zeros(1))
     times = np.array([_seconds_to_start(excitation)])
     return Trajectory(excitation.series.joint_names, times, q, 0.0 * q, 0.0 * q)

@@ -137,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
         result = identify_parameters(
             robot, runs, unseen, options.gravity, payload, options.fixed, options.currents, report
         )
-    # The files come first, because the report may end early in a pipe such as `| head`.
+    # The files come first, because a pipe such as `| head` may end the program during the report.
     files = _write(result, source, options)
     _show(result, notes, recordings)
     print('\n'.join(files), end='\n' if files else '')
@@ -178,7 +178,7 @@ def _show(
 def _write(
     result: IdentificationResult, source: Path | str, options: argparse.Namespace
 ) -> list[str]:
-    """Write the files; return a line of text about each file."""
+    """Write the files, and return a line of text for each file."""
     lines = []
     if options.output:
         with new_file(options.output) as path:

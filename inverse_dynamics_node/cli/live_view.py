@@ -17,8 +17,8 @@ from .console import colour_console
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
 
-BAR = 12  # length of a bar [characters], if the terminal is wide enough
-WIDTH_WITHOUT_BAR = 76  # width of the joint table without bars, for names of 20 characters
+BAR = 12  # largest length of a bar [characters]
+WIDTH_WITHOUT_BAR = 76  # width of the joint table without bars [characters]
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
 MOST_WARNINGS = 4
 RECENT = 60.0  # [s]; older warnings are not shown
@@ -26,12 +26,12 @@ _COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.SATURATED: 'r
 
 
 class LiveView:
-    """A screen that is updated in place; the terminal is restored when the context ends."""
+    """A screen that is updated in place until the context ends."""
 
     def __init__(self) -> None:
         from rich.live import Live
 
-        # Without COLUMNS and LINES, which some shells export, the size follows the terminal.
+        # Some shells export COLUMNS and LINES, which would fix the size of the screen.
         size = {'COLUMNS', 'LINES'}
         environment = {key: os.environ[key] for key in os.environ.keys() - size}
         self._console = colour_console(environment=environment)
@@ -55,7 +55,7 @@ class LiveView:
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
-    """Return the screen as an object of the library rich; important lines come first."""
+    """Return the screen as an object of the library rich, with important lines first."""
     from rich.console import Group
 
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
@@ -75,7 +75,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
 
 
 def _cropped(content: Any, console: Any) -> Any:
-    """Cut the lines that do not fit on the terminal; the last line says how many were cut."""
+    """Replace the lines that do not fit on the terminal by a hint."""
     from rich.console import Group
     from rich.segment import Segment, Segments
 
@@ -179,7 +179,7 @@ def _node_table(status: NodeStatus) -> Any:
 
 
 def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
-    """Return lines about the node, each as a label and a text."""
+    """Return lines about the node, as pairs of label and text."""
     loop, others = status.loop, status.other_nodes or OtherNodesStatus()
     states = status.joint_states or JointStatesStatus()
     reference = status.reference or ReferenceStatus()
@@ -210,7 +210,7 @@ def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
 
 
 def _payload(status: NodeStatus) -> str:
-    """List the payloads; the text is empty until the node has loaded a robot."""
+    """List the payloads; return '' until the node has loaded a robot."""
     return ', '.join(map(str, status.model.payloads)) or 'none' if status.model else ''
 
 
@@ -299,7 +299,7 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
 
 
 def _text(*arguments: Any, **options: Any) -> Any:
-    """Return a `rich.text.Text`; output to a pipe does not need rich, so rich is imported here."""
+    """Return a `rich.text.Text`; rich is imported here, because a pipe does not need rich."""
     from rich.text import Text
 
     return Text(*arguments, **options)

@@ -1,4 +1,4 @@
-"""The entry point `inverse_dynamics COMMAND ...`; prints each error on one line."""
+"""Runs `inverse_dynamics COMMAND ...`, and prints each error on one line."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _COMMANDS = {
     },
 }
 COMMANDS = tuple(name for group in _COMMANDS.values() for name in group)
-"""Each command is a module with make_parser() and run(options); run returns the exit code."""
+"""Each command is a module with make_parser() and run(options), which returns the exit code."""
 
 _USAGE = """\
 usage: inverse_dynamics COMMAND [ARGUMENT]...
@@ -65,7 +65,7 @@ examples:
 exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
-_ROS_COMMANDS = 'payload', 'watch', 'simulate'  # commands that accept arguments of ROS
+_ROS_COMMANDS = 'payload', 'watch', 'simulate'  # commands that accept --ros-args
 _EXTRAS = {
     **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), 'cli'),
     **dict.fromkeys(
@@ -94,21 +94,22 @@ _INTERRUPTED, _BROKEN_PIPE = 130, 141  # exit codes of a shell for SIGINT and SI
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # These commands print names from the local URDF only, and `demo` updates a table in place.
+    # These commands print only names from the local URDF. With escaped output, `demo` could not
+    # update a table in place.
     with nullcontext() if arguments[:1] in (['demo'], ['simulate']) else escaped_output():
         return _code_of(arguments)
 
 
 def _code_of(arguments: list[str]) -> int:
-    """Run one command; print any error on one line, and return the exit code."""
+    """Run one command, and print an error on one line."""
     try:
         code = _run(arguments)
-        sys.stdout.flush()  # flushed here, where a broken pipe can be caught
+        sys.stdout.flush()  # flushed here, because a broken pipe is caught only here
         return code
     except KeyboardInterrupt:
         return _INTERRUPTED
     except BrokenPipeError:
-        # Prevents an error message when Python flushes the output at exit.
+        # Otherwise Python would print an error while flushing the output at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     except ModuleNotFoundError as error:
@@ -139,20 +140,20 @@ def _run(arguments: list[str]) -> int:
         return 0
     if '--ros-args' in arguments and command not in _ROS_COMMANDS:
         return _fail(
-            f'--ros-args is for {", ".join(_ROS_COMMANDS)}, and for the node: ros2 run '
-            'inverse_dynamics_node inverse_dynamics_node --ros-args ...',
+            f'only these commands accept --ros-args: {", ".join(_ROS_COMMANDS)}; to run the node, '
+            'use ros2 run inverse_dynamics_node inverse_dynamics_node --ros-args ...',
             _INVALID_ARGUMENTS,
         )
     if command not in COMMANDS:
         kind, names = (
             ('option', ['--help', '--version']) if command[0] == '-' else ('command', COMMANDS)
         )
-        hint = did_you_mean(command, names) or f'; there are {", ".join(names)}'
+        hint = did_you_mean(command, names) or f', expected one of {", ".join(names)}'
         return _fail(f"there is no {kind} '{shortened(command)}'{hint}", _INVALID_ARGUMENTS)
     if command in ('identify', 'payload'):
-        # The matrices are small: threads would take longer to start than to compute.
+        # The matrices are so small that threads would slow the computation.
         os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    # Imported here: the import takes most of a second, and Ctrl-C must end the import cleanly.
+    # Imported here, so that Ctrl-C ends the slow import without a traceback.
     module = import_module(f'.{command}', __package__)
     others, ros_arguments = _split(others)
     options = module.make_parser().parse(others)
@@ -162,7 +163,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Separate the command's arguments from those of ROS, which lie between --ros-args and --."""
+    """Separate the arguments of the command from the arguments of ROS."""
     if '--ros-args' not in arguments:
         return arguments, []
     begin = arguments.index('--ros-args')

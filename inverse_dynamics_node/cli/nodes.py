@@ -11,9 +11,9 @@ from typing import Any
 
 from ..errors import ConfigurationError
 
-_DISCOVERY = 1.5  # [s]; usual duration of discovery; a busy machine takes longer
-_PATIENCE = 5.0  # [s]; after this time, a message says that no node is found yet
-MOST_DISCOVERY = 10.0  # [s]; longest wait for a node, unless `watch` runs without --for
+_DISCOVERY = 1.5  # [s]; usual duration of discovery
+_PATIENCE = 5.0  # [s]; after this time, the wait is announced
+MOST_DISCOVERY = 10.0  # [s]; longest wait for a node, except in `watch` without --for
 
 
 def node_name(text: str) -> str:
@@ -29,9 +29,9 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
     Return the full name of the inverse dynamics node that the user wants.
 
-    `wanted` is the full name or its last part. If `wanted` is None, there must be only one node.
-    Raise a ConfigurationError if several nodes fit. If no node fits, wait: indefinitely if
-    `is_patient`, otherwise for `MOST_DISCOVERY` before a ConfigurationError is raised.
+    `wanted` is the full name, or the last part of the name, or None for the only node. Wait until
+    a node matches, but no longer than `MOST_DISCOVERY` unless `is_patient` is true. Raise
+    ConfigurationError if no node or more than one node matches.
     """
     from ..ros.observer import find_nodes
 
@@ -55,7 +55,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
 
 def only_one(names: list[str]) -> str:
-    """Return the only name, or an empty text for an empty list; raise an error for more names."""
+    """Return the only name, or ''; raise ConfigurationError if there are several names."""
     if len(names) > 1:
         raise ConfigurationError(
             f'there are {len(names)} nodes: {", ".join(names)}; choose one by its name, such as '
@@ -74,5 +74,5 @@ def _not_found(wanted: str | None, names: list[str]) -> str:
     where = f'ROS_DOMAIN_ID is {domain}, ROS_AUTOMATIC_DISCOVERY_RANGE is {reach}'
     if wanted is None:
         return f'no inverse dynamics node found ({where})'
-    others = f'; there are {", ".join(names)}' if names else ''
+    others = f', only {", ".join(names)}' if names else ''
     return f"no inverse dynamics node '{wanted}' found{others} ({where})"

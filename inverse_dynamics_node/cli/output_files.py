@@ -1,9 +1,9 @@
 """
 Writes the files of a command without destroying other files.
 
-An input is never replaced. Any other existing file is replaced only with --force, or if it is an
-unchanged output of an earlier call. Outputs are recognized by a mark: an extended attribute with
-the hash of the content. On file systems without extended attributes, --force is always necessary.
+An input is never replaced. Any other existing file is replaced only with --force, or if the file
+is an unchanged output of an earlier call. The mark of an output is an extended attribute with the
+hash of the content. On file systems without extended attributes, --force is always necessary.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _STREAMS = ('/dev/std', '/dev/fd/', '/proc/')
 
 
 class OutputError(InverseDynamicsError):
-    """An output would replace a file that must be kept."""
+    """An output cannot be written, or would replace a file that must be kept."""
 
 
 def output_path(text: str) -> Path:
-    """Parse the path of a file to write; raise ArgumentTypeError if the file cannot be written."""
+    """Parse the path of an output; raise ArgumentTypeError if the output cannot be written."""
     path = Path(text)
     folder = path.parent
     if path.is_dir():
@@ -46,7 +46,7 @@ def output_path(text: str) -> Path:
 
 
 def picture_path(text: str) -> Path:
-    """Parse the path of a picture to write; its suffix must be one of `PICTURE_SUFFIXES`."""
+    """Parse the path of a picture; raise ArgumentTypeError for a path without a picture suffix."""
     path = output_path(text)
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise argparse.ArgumentTypeError(
@@ -62,9 +62,9 @@ def check_outputs(
     Check that the outputs of a command do not replace a file that must be kept.
 
     The keys of `outputs` are the options that give the paths. The input ``-`` is standard input.
-    Raise OutputError if an output is an input or a link to an input, or if two outputs are the
-    same file. Unless `force` is true, also raise OutputError if an output exists already and is
-    not the unchanged output of an earlier call.
+    Raise OutputError if an output is also an input or another output, even through a link.
+    Without `force`, raise OutputError if an output exists, unless the file is an unchanged output
+    of an earlier call.
     """
     sources = {_identity(file): file for source in inputs for file in _files_of(source)}
     written: dict[object, str] = {}
@@ -82,8 +82,7 @@ def check_outputs(
         written[identity] = option
         if path.exists() and not force and not _is_unchanged_output(path):
             raise OutputError(
-                f'{where}: exists, and is not an unchanged output of an earlier call; choose '
-                'another name, or replace it with --force'
+                f'{where}: already exists; choose another name, or replace the file with --force'
             )
 
 
@@ -92,8 +91,8 @@ def new_file(path: Path) -> Iterator[Path]:
     """
     Yield the path of a temporary file, which replaces the output if the `with` body succeeds.
 
-    If the body fails, an existing output is not changed. A symbolic link is kept: the link's
-    target is replaced. Raise OSError with the path if the output cannot be written.
+    If the body fails, an existing output is not changed. If the path is a symbolic link, the
+    target of the link is replaced. Raise OSError with the path if the output cannot be written.
     """
     if _is_stream(path):
         yield path
@@ -108,14 +107,14 @@ def new_file(path: Path) -> Iterator[Path]:
         yield temporary
         _complete(temporary)
         temporary.replace(target)
-    except OSError as error:  # the error names the temporary file, or no file
+    except OSError as error:  # the error may name the temporary file
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def _complete(path: Path) -> None:
-    """Mark a file as an output, and flush the file to the disk."""
+    """Mark the file as an output, and flush the file to the disk."""
     with suppress(OSError):  # not all file systems have extended attributes
         os.setxattr(path, _MARK, _digest(path))
     with path.open('rb') as file:
@@ -134,7 +133,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _identity(path: Path) -> object:
-    """Return device and inode, which all links to a file share; if no file exists, the path."""
+    """Return a value that is equal for all links to the same file."""
     try:
         status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
     except (OSError, ValueError):  # no such file, or a closed standard input
@@ -143,7 +142,7 @@ def _identity(path: Path) -> object:
 
 
 def _files_of(source: Path) -> list[Path]:
-    """List the files of an input; a folder contains the files of a recording."""
+    """List the files of an input, which can be the folder of a recording."""
     if not source.is_dir():
         return [source]
     return [
@@ -154,5 +153,5 @@ def _files_of(source: Path) -> list[Path]:
 
 
 def _is_stream(path: Path) -> bool:
-    """Return whether a path is a stream, such as a pipe or /dev/null, and not a file."""
+    """Return whether a path is a stream, such as a pipe or /dev/null."""
     return str(path).startswith(_STREAMS) or (path.exists() and not path.is_file())

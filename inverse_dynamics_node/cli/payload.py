@@ -1,4 +1,4 @@
-"""The command `payload`: measures mass and centre of mass of a payload from two recordings."""
+"""The command `payload`: measures the mass and the centre of mass of a payload."""
 
 from __future__ import annotations
 
@@ -132,8 +132,8 @@ def run(options: argparse.Namespace) -> int:
             gravity = status.model.gravity_at_root
     if empty is None and not convention.in_measured:
         raise ConfigurationError(
-            f'{source}: the recorded efforts do not contain gravity, so a recording without the '
-            'payload is needed: use --empty'
+            f'{source}: the recorded efforts do not contain gravity; use --empty to add a '
+            'recording without the payload'
         )
     topic = options.topic if options.record is None else None
     loaded, _ = read_recording(options.loaded, robot, topic, scale)
@@ -164,7 +164,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_files(options: argparse.Namespace) -> None:
-    """Check that the outputs can be written and do not replace files that must be kept."""
+    """Check the paths of the outputs."""
     inputs = [options.urdf, options.empty, options.node_parameters]
     outputs = {'--picture': options.picture}
     if options.record is None:
@@ -198,7 +198,7 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
         print(text, file=sys.stderr, flush=True)
         with _signals() as signals, progress(text) as report:
             reason = recorder.record(partial, seconds, lambda: bool(signals), report)
-    # A recording that ended early must not replace a complete one.
+    # A recording that ended early must not replace a complete recording.
     written = partial if reason and path.exists() else partial.replace(path)
     count, duration = recorder.count, recorder.duration
     print(f'{written}: {count} joint states in {duration:.1f} s', file=sys.stderr)
@@ -211,14 +211,14 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
     assert after is not None
     if _content(before) != _content(after):
         raise RecordingError(
-            f'{written}: {observer.name} changed during the recording: its diagnostics no longer '
-            'say the same about the content of the measured efforts'
+            f'{written}: {observer.name} changed its settings for measured efforts during the '
+            'recording'
         )
     return observer.name, after
 
 
 def _partial(path: Path) -> Path:
-    """Return the file for a recording that has not ended yet, beside the file `path`."""
+    """Return the path of an unfinished recording."""
     return path.with_name(f'{path.stem}_partial.csv')
 
 
@@ -229,7 +229,7 @@ def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
 
 @contextmanager
 def _signals() -> Iterator[list[int]]:
-    """Collect the signals that would end the process, so that a recording is finished first."""
+    """Collect signals, so that the recording is completed before the process ends."""
     received: list[int] = []
     numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
     before = {
@@ -244,7 +244,7 @@ def _signals() -> Iterator[list[int]]:
 
 
 def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:
-    """Publish the payload to a node, and wait until the node has it; return the node's name."""
+    """Apply the payload to a node, and return the name of the node."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.payload import apply_payload
 

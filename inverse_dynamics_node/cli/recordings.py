@@ -1,4 +1,4 @@
-"""Reads recordings, and determines from a node's settings what the recorded efforts contain."""
+"""Reads recordings, and the settings of the node for measured efforts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_recording(
 
 
 def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
-    """Multiply the efforts of each joint by the factor in `scale`, which is 1 by default."""
+    """Multiply the efforts of each joint by the factor in `scale`, or by 1 without a factor."""
     factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
     return recording._replace(efforts=factors * recording.efforts)
 
@@ -38,7 +38,7 @@ def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
 def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
-    """Read node parameters: which efforts contain gravity, and the scale of measured efforts."""
+    """Read from node parameters which efforts contain gravity, and the scale of each joint."""
     given = {} if path is None else _node_parameters(path)
     try:
         in_commands = given.get('include_gravity', True)
@@ -70,7 +70,7 @@ def reported_convention(status: NodeStatus) -> GravityConvention:
 
 
 def _node_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters in a file; the names of the nodes are ignored."""
+    """Return the parameters of all nodes in a file."""
     import yaml
 
     try:
@@ -81,5 +81,5 @@ def _node_parameters(path: Path) -> dict[str, Any]:
     sections = [each.get('ros__parameters') for each in nodes if isinstance(each, dict)]
     found: list[dict[str, Any]] = [each for each in sections if isinstance(each, dict)]
     if not found:
-        raise ConfigurationError(f'{path} has no ros__parameters, expected parameters of the node')
+        raise ConfigurationError(f'{path} has no ros__parameters, expected a parameter file')
     return {name: value for each in found for name, value in each.items()}

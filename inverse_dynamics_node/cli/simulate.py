@@ -1,4 +1,4 @@
-"""The command `simulate`: runs a simulated robot, to try the node and other commands."""
+"""The command `simulate`: runs a simulated robot for trying the node."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     arguments += ['--driver', options.driver] if options.driver else []
     arguments += ['--sway'] * options.sway + ['--friction'] * options.friction
     arguments += ['--held', *options.held] if options.held else []
-    arguments += [*options.ros_arguments, '--ros-args']  # the first remapping of a name applies
+    arguments += [*options.ros_arguments, '--ros-args']  # ROS applies the first remapping
     arguments += ['-r', f'commands:={options.commands or driver.commands}']
     arguments += ['-r', f'joint_states:={driver.joint_states}']
     namespace = options.namespace.strip('/')
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _line(name: str) -> str:
-    """Return the line of the help that says how a driver differs from the default."""
+    """Describe in one line how a driver differs from the default."""
     driver = DRIVERS[name]
     parts = {
         f'takes {driver.form.value}': driver.form is not TORQUES.form,

@@ -61,7 +61,7 @@ CODES = {
     Outcome.FEW_JOINTS: 6,
 }
 _POLL = 0.02  # [s]; time between two polls of the node
-_LINE = 1.0  # [s]; time between two lines of text, or two checks
+_LINE = 1.0  # [s]; time between two lines of text, and between two checks
 _FRAME = 0.25  # [s]; time between two updates of the screen
 _LOST = 3.5  # [s]; longest gap between diagnostics, which are sent once a second
 
@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
             watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
             return watch.run()
     finally:
-        gc.freeze()  # the last garbage collection would take most of a second
+        gc.freeze()  # because the last garbage collection would take most of a second
 
 
 class _Watch:
@@ -148,7 +148,7 @@ class _Watch:
         return CODES[self.agreement.outcome]
 
     def _loop(self, show: Any, period: float) -> None:
-        """Poll the node, check it once a second, and show the result, until the duration ends."""
+        """Poll, check and show the node until the duration ends."""
         next_check = next_show = time.monotonic() + period
         is_over, is_new = False, True
         while not is_over:
@@ -168,12 +168,12 @@ class _Watch:
                 time.sleep(_POLL)
 
     def _check_choice(self, now: float) -> None:
-        """Raise an error if no name was given and a second node has been discovered."""
+        """Raise ConfigurationError if a second node is found and the user gave no name."""
         if self.options.node is None and now < self._began + MOST_DISCOVERY:
             only_one(self.find())
 
     def _end(self, now: float) -> float:
-        """Return the time at which to end; the duration begins when the node's state is known."""
+        """Return the end time; the duration begins when the state of the node is known."""
         if not self.options.duration:
             return math.inf
         status, robot = self.observer.status, self.observer.robot
@@ -226,7 +226,7 @@ class _Watch:
         )
 
     def _reason(self) -> str:
-        """Return why efforts cannot be compared, or an empty text if they can."""
+        """Return why efforts cannot be compared, or ''."""
         observer, status = self.observer, self.observer.status
         assert status is not None
         if status.is_computing:
@@ -272,7 +272,7 @@ class _Watch:
 
 
 def next_time(due: float, period: float, now: float) -> float:
-    """Return the next time to act; times that were missed during a delay are skipped."""
+    """Return the next time to act, and skip the times that a delay has missed."""
     return due + period if due + period > now else now + period
 
 

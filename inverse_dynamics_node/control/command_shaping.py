@@ -1,7 +1,7 @@
 """
 Converts computed efforts into commands that respect limits and do not jump.
 
-This module uses neither ROS nor a clock. The time is an argument.
+This module uses neither ROS nor a clock. Callers pass the time.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from ..robot.model import Booleans, Floats
 _BRIEF = 0.03  # [s]; after a shorter pause, efforts continue without a blend
 LARGEST = 1e300
 """Largest accepted effort [N m or N]; the sum of two such efforts is finite."""
-# Rows of `CommandShaper._rows`, one column per commanded joint.
+# Rows of `CommandShaper._rows`. Each column belongs to a commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 NOMINAL_STEP = 0.01
 """Ramps advance by at most this time per command [s], unless the usual interval is longer."""
-_LONGEST_STEP = 0.5  # [s]; upper bound of the usual interval, unless the period is longer
-# Time constant of the mean, in usual intervals. One interval raises the mean by at most 25 %.
+_LONGEST_STEP = 0.5  # [s]; longest usual interval, unless the period is longer
+# Time constant of the mean in `RampClock`, in usual intervals. One pause adds at most 25 %.
 _MEMORY = 8.0
 _LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
-_PAUSE = 4.0  # usual intervals; a shorter interval is not an interruption either
-_SETTLING = 0.2  # [s]; for this long after an interruption, old messages may still arrive
+_PAUSE = 4.0  # [usual intervals]; a shorter interval is not an interruption
+_SETTLING = 0.2  # [s]; old messages may arrive for this long after an interruption
 
 
 class _Way(enum.Enum):
@@ -41,15 +41,14 @@ class _Way(enum.Enum):
 
 class RampClock:
     """
-    Measures the time by which ramps, blends and fades advance with each command.
+    Measures the time step of ramps, blends and fades.
 
-    This time is the interval since the last command, but at most the longest of three times:
-    10 ms, the period of the loop, and the usual interval. The usual interval is a mean in which
-    long intervals have more weight, so that a burst of messages does not hide a pause. A single
-    pause lengthens the usual interval by at most 25 %.
+    The time step is the interval since the last command, but at most the usual interval. The usual
+    interval is a mean of past intervals, but at least 10 ms and at least one period of the loop.
+    Long intervals have more weight in the mean, so that a burst of messages does not hide a pause.
+    A single pause lengthens the usual interval by at most 25 %.
 
-    A pause may end with old messages, a late timer or a jump of the clock. The robot may have
-    moved during the pause, but the commands have not changed. Ramps therefore do not catch up.
+    Ramps do not catch up after a pause, because the robot may have moved during the pause.
 
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
 
@@ -63,18 +62,19 @@ class RampClock:
         self.since = 0.0
         """Time since the last command [s]; 0 after the clock was set back."""
         self.step = 0.0
-        """Time by which ramps advance with this command [s]."""
+        """Time step of ramps for this command [s]."""
 
     def start(self) -> None:
-        """Restart the clock, so that ramps do not advance with the next command."""
+        """Restart the clock; the next command does not advance ramps."""
         self._now, self._settling = math.inf, 0.0
 
     def advance(self, now: float) -> bool:
         """
-        Advance to the time of the next command [s]; return whether to blend this command.
+        Advance to the time of a command [s]; return whether a blend must begin.
 
-        The first command after a start is blended. Commands are also blended for 0.2 s after the
-        process was suspended, the machine stalled or the clock jumped.
+        A blend begins with the first command after `start`. An interruption is a suspended
+        process, a stalled machine or a jump of the clock. Each command within 0.2 s after an
+        interruption also begins a blend.
 
         """
         since, self._now = now - self._now, now
@@ -95,7 +95,7 @@ class RampClock:
 
 
 def ramp_fraction(elapsed: float, ramp: float) -> float:
-    """Return the elapsed fraction of a ramp, from 0 to 1; both arguments are in [s]."""
+    """Return the elapsed fraction of a ramp, from 0 to 1; times are in [s]."""
     return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0
 
 
@@ -107,11 +107,11 @@ class StopRamp:
         self._duration = self._passed = 0.0  # [s]
 
     def begin(self, command: Floats, duration: float) -> None:
-        """Start a ramp from a copy of ``command`` down to zero; ``duration`` is in [s]."""
+        """Start a ramp from ``command`` down to zero over ``duration`` [s]."""
         self._top, self._duration, self._passed = command.copy(), duration, 0.0
 
     def advance(self, elapsed: float) -> None:
-        """Advance the ramp by the elapsed time [s]."""
+        """Advance the ramp by ``elapsed`` [s]."""
         self._passed += elapsed
 
     @property
@@ -131,26 +131,21 @@ class StopRamp:
 
 class CommandShaper:
     """
-    Turns computed efforts into a sequence of commands without jumps.
+    Turns computed efforts into commands without jumps.
 
-    Only new joint states and references change the commands at once. Every other change is applied
-    through a ramp or a blend. With each command, ramps and blends advance by `clock.step`. To
-    produce a command, advance `clock`, then call `follow`, `hold` or `fall`.
+    For each command, advance `clock`, then call `follow`, `hold` or `fall`. Only new joint states
+    and references change the commands at once. All other changes use a ramp or a blend:
 
     - The start ramp multiplies the computed efforts by `gain`.
     - A blend fades out the difference between the last command and the computed efforts.
     - The stop ramp scales the last command down to zero.
 
-    Each ramp and each blend continues from the last command.
+    A change during a blend starts a new blend from the last command. The first command of a blend
+    does not advance the blend, unless the previous command also started a blend. The difference
+    therefore fades even if every command starts a blend.
 
-    A change during a blend starts a new blend, which takes over the difference that has not faded
-    yet. The first command of a blend does not advance the blend, unless the previous command also
-    started a blend. Therefore, even if every command starts a blend, the difference fades as in a
-    first-order low-pass. The time constant of this low-pass is the length of the start ramp.
-
-    A brief pause, for example before a joint state that is slightly late, does not start a blend.
-    Otherwise, intermittent states would start one blend after another, and the first command of
-    each blend would repeat the last command instead of following the joints.
+    A brief pause does not start a blend. Otherwise, intermittent joint states would start many
+    blends, and the command would repeat instead of following the joints.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
@@ -170,18 +165,18 @@ class CommandShaper:
         self.is_slowed: Booleans = self._flags[1]
         """Whether a rate limit slowed the change of each effort, shape (m,)."""
         self.gain = 0.0
-        """Factor for the computed efforts: 0 before the start ramp, 1 after it."""
+        """Factor for the computed efforts; rises from 0 to 1 over the start ramp."""
         self._has_rates = False
         self._start_ramp = self._stop_ramp = 0.0
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
-        self._left = self._duration = 0.0  # remaining fraction of the blend, and its duration [s]
-        # Whether ramp and blend pause at the next command, and whether they paused at the last.
+        self._left = self._duration = 0.0  # remaining fraction and duration [s] of the blend
+        # First flag: ramps pause at the next command. Second flag: they paused at the last.
         self._is_paused = self._was_paused = False
-        self._pause = math.inf  # [s] since efforts were last followed; inf: blend the next ones
+        self._pause = math.inf  # [s] since the last `follow`; inf: the next starts a blend
         self._stop = StopRamp()
         self._is_damped = False  # whether the last command contains damping
-        self._top_gain = self._top_left = 0.0  # gain and blend when the stop began
+        self._top_gain = self._top_left = 0.0  # `gain` and `_left` when the stop began
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
 
     def configure(
@@ -196,11 +191,11 @@ class CommandShaper:
         """
         Change the settings; call `begin` after all changes.
 
-        All arrays have shape (m,). The computed efforts are multiplied by ``scale``, then
-        ``offset`` is added [N m or N]. Commands are limited in magnitude by ``limits`` [N m or N],
-        and in rate by ``rate_limits`` [N m/s or N/s]. Limits may be infinite. The start ramp and
-        each blend last for ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not affect a
-        stop ramp in progress.
+        All arrays have shape (m,). A command is ``scale`` times the computed effort, plus
+        ``offset`` [N m or N]. ``limits`` bounds the magnitude of the commands [N m or N].
+        ``rate_limits`` bounds the rate of change [N m/s or N/s]. Limits may be infinite. The start
+        ramp and each blend last for ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not
+        affect a stop ramp in progress.
 
         """
         self._rows[[_SCALE, _OFFSET, _LIMIT]] = scale, offset, limits
@@ -213,20 +208,19 @@ class CommandShaper:
         """
         Start to blend from the last command to the computed efforts.
 
-        The blend lasts for ``start_ramp``, but does not end before a blend in progress would have
-        ended. During a stop ramp, the blend waits for the next computed efforts.
+        The blend lasts for ``start_ramp``, or for the rest of a longer blend in progress. During a
+        stop ramp, the blend waits for the next `follow`.
 
-        After a change of settings, ``tau`` contains the efforts recomputed from the inputs of the
-        last command, shape (n,) [N m or N]. ``added`` is added to the efforts of the commanded
-        joints, shape (m,) [N m or N]. Only the difference between the recomputed efforts and the
-        last command fades, so that the next command follows new inputs at once. Without ``tau``,
-        the next command equals the last command.
+        After a change of settings, ``tau`` contains the new efforts for the inputs of the last
+        command, shape (n,) [N m or N]. ``added`` contains efforts to add for the commanded joints,
+        shape (m,) [N m or N]. Only the difference between the last command and ``tau`` fades, so
+        that the next command follows new inputs at once. Without ``tau``, the next command equals
+        the last command.
 
         """
         if self._way is _Way.FALLING:
             self._pause = math.inf
             return
-        # The new blend ends neither before the start ramp nor before a blend in progress would.
         self._duration = max(self._start_ramp, self._left * self._duration)
         self._left = 1.0 if self._duration > 0.0 else 0.0
         self._is_paused = self._left > 0.0 and not self._was_paused
@@ -248,7 +242,7 @@ class CommandShaper:
 
     @property
     def time_to_fall(self) -> float:
-        """Time until a stop ramp, in progress or started now, reaches zero [s]."""
+        """Time to ramp the last command down to zero [s]."""
         if self._way is not _Way.FALLING:
             return self._stop_ramp
         return max(self._stop_ramp if self._is_damped else 0.0, self._stop.time_left)
@@ -264,7 +258,7 @@ class CommandShaper:
 
     @property
     def continues(self) -> bool:
-        """Whether the last command, or one within the last 30 ms, followed computed efforts."""
+        """Whether the last command, or a command in the last 30 ms, came from `follow`."""
         is_brief = self._pause + self.clock.since <= _BRIEF and not self._is_new
         return self._way is _Way.FOLLOWING or is_brief
 
@@ -272,9 +266,9 @@ class CommandShaper:
         """
         Command the computed efforts; return False if an effort is NaN or exceeds `LARGEST`.
 
-        ``tau`` contains the computed efforts of all joints, shape (n,). ``added`` is added to the
-        efforts of the commanded joints, shape (m,) [N m or N]. If the result is False, the command
-        is unchanged.
+        ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N]. ``added``
+        contains efforts to add for the commanded joints, shape (m,) [N m or N]. If the result is
+        False, the command stays the same.
 
         """
         self._rows[_ADDED] = added
@@ -285,7 +279,7 @@ class CommandShaper:
                 gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
                 left = max(0.0, left - elapsed / duration) if left else 0.0
         else:
-            self._is_paused = False  # the first command of a blend does not advance it
+            self._is_paused = False  # the first command of a blend does not advance the blend
             duration = max(self._start_ramp, left * duration)
             is_new = duration > 0.0
             left = 1.0 if is_new else 0.0
@@ -300,7 +294,7 @@ class CommandShaper:
         return are_finite
 
     def hold(self) -> None:
-        """Repeat the last command; a blend reduces efforts that exceed a tightened limit."""
+        """Repeat the last command; efforts beyond a tightened limit fall to the limit."""
         elapsed = self.clock.step
         if self._way is _Way.FALLING:
             self._way, self._pause = _Way.HOLDING, math.inf
@@ -327,9 +321,9 @@ class CommandShaper:
         """
         Ramp the commands down to zero, starting from the last command.
 
-        ``damping`` contains efforts to add, shape (m,) [N m or N]. If a sum would exceed one of
-        ``limits``, a common factor reduces all damping efforts, so that the damping still opposes
-        the motion. By default, the limits are those of `configure`.
+        ``damping`` contains efforts to add, shape (m,) [N m or N]. If a sum exceeds its limit, one
+        factor reduces all damping efforts, so that the damping still opposes the motion.
+        ``limits`` has shape (m,) [N m or N]; the default is the limits of `configure`.
 
         """
         if self._way is _Way.FALLING:
@@ -342,7 +336,7 @@ class CommandShaper:
             self._top_gain, self._top_left = self.gain, self._left
             self._stop.begin(self.command, self._stop_ramp)
         fraction = self._stop.fraction
-        # Also scale gain and blend: computed efforts may continue after a brief pause.
+        # Scale the gain and the blend too, because computed efforts may soon continue.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left
         self.command[:] = self._stop.command()
         self._is_damped = damping is not None
@@ -376,17 +370,20 @@ def blend_efforts(
     """
     Compute the next command; if an effort is not finite, keep the command and return False.
 
-    ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N]. ``rows`` has one
-    column per commanded joint, shape (10, m). The input rows are the index of the joint among the
-    n joints, the effort to add, the scale, the offset, the limit and the rate limit. The output
-    rows are the computed effort, the last command minus the effort at the start of the blend, the
-    excess over the limit at the start of the blend, and the command. On entry, the command row
-    contains the last command. The first row of ``flags`` is set where an effort was cut to its
-    limit. The second row is set where a rate limit slowed the change of an effort.
+    - ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N].
+    - ``rows`` has shape (10, m), with one column per commanded joint.
+    - Rows `_INDEX` to `_RATE` contain the index of the joint in the robot, the effort to add, the
+      scale, the offset, the limit and the rate limit.
+    - Row `_WANTED` receives the scaled effort.
+    - Row `_JUMP` contains the last command minus the computed effort, at the start of the blend.
+    - Row `_EXCESS` contains the excess over the limit, at the start of the blend.
+    - Row `_COMMAND` contains the last command, and receives the next command.
+    - ``flags`` has shape (2, m). Row 0 is set where an effort was cut to its limit. Row 1 is set
+      where a rate limit slowed the change of an effort.
 
-    ``gain`` is the factor for the computed efforts. ``left`` is the fraction of that difference
-    which has not faded yet. ``is_new`` says whether a blend begins with this command.
-    ``has_rates`` says whether rate limits exist. ``elapsed`` is the time step for them [s].
+    ``gain`` is the factor for the computed efforts. ``left`` is the fraction of `_JUMP` and
+    `_EXCESS` that has not faded yet. ``is_new`` says whether a blend begins with this command.
+    ``has_rates`` says whether rate limits exist. ``elapsed`` is the time step of rate limits [s].
 
     """
     # Without numba, floats are faster than numpy scalars, and do not cause warnings.
@@ -405,7 +402,7 @@ def blend_efforts(
         effort *= gain
         if is_new:
             rows[_JUMP, k] = last - effort
-            # A command beyond a newly tightened limit keeps its value at first.
+            # At first, a command may exceed a limit that was tightened.
             rows[_EXCESS, k] = max(0.0, abs(last) - limit)
         if is_new and left == 1.0:
             effort = last  # without rounding errors

@@ -15,12 +15,12 @@ _LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restart
 
 class ExternalEffortEstimator:
     r"""
-    Estimates external joint efforts as a filtered difference of measured and modelled efforts.
+    Estimates external joint efforts by subtracting modelled from measured efforts.
 
-    Accelerations are not measured, but derived from filtered velocities. The same low-pass
-    :math:`L` filters velocities and efforts. The result is :math:`L[\tau - C(q, \dot q)\,\dot q -
-    g(q) - ...] - M(q)\,\frac{d}{dt} L[\dot q]`. The two terms of this difference have the same
-    lag, and therefore cancel if the model explains the motion.
+    Accelerations are the derivatives of filtered velocities. The same low-pass :math:`L` filters
+    velocities and efforts. The result is :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
+    M(q)\,\frac{d}{dt} L[\dot q]`. Both terms of the difference have the same lag, so that the
+    terms cancel if the model explains the motion.
 
     ``dynamics`` is the model of a robot with n joints, including payloads, wrenches and friction.
     ``cutoff`` is the cutoff frequency of the first-order low-pass [Hz].
@@ -33,7 +33,7 @@ class ExternalEffortEstimator:
         self.scale = np.ones(n)
         """Factors that convert measured values into efforts [N m or N], shape (n,)."""
         self.filter = LowPass(np.zeros((2, n)), cutoff)
-        """Row 0: velocities. Row 1: measured efforts minus those modelled at zero acceleration."""
+        """Row 0: velocities. Row 1: measured minus modelled efforts at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
@@ -46,10 +46,10 @@ class ExternalEffortEstimator:
         """
         Update the estimate with one joint state; return measured minus modelled efforts.
 
-        The result [N m or N] contains the external efforts with the opposite sign, and the errors
-        of the model. ``measured`` contains efforts in the units of the driver. Efforts that are
-        not measured are NaN, in ``measured`` and in the result. All arrays have shape (n,). A
-        position or velocity that is not finite raises a JointStateError.
+        The result [N m or N] is the negative of the external efforts, plus errors of the model.
+        ``measured`` contains efforts in the units of the driver. Unmeasured efforts are NaN in
+        ``measured`` and in the result. All arrays have shape (n,). A JointStateError is raised if
+        a position or velocity is not finite.
 
         """
         elapsed = time - self._time

@@ -17,31 +17,30 @@ from .joint_states import State
 from .settings import Mode, Settings
 from .supervision import Phase
 
-_PLAUSIBLE = 1e9  # in SI units; larger inputs are named as the cause of infinite efforts
+_PLAUSIBLE = 1e9  # [SI units]; a larger input is reported as the cause of infinite efforts
 
 
 class Reference(NamedTuple):
     """Desired motion of the commanded joints."""
 
     accelerations: Floats
-    """Accelerations of the commanded joints, shape (m,) [rad/s^2 or m/s^2]."""
+    """Accelerations, shape (m,) [rad/s^2 or m/s^2]."""
     efforts: Floats
     """Efforts to add to the computed efforts, shape (m,) [N m or N]."""
     time: float
     """Time at which the reference arrived [s]."""
     positions: Floats | None = None
-    """Positions, shape (m,) [rad or m]; None if the reference has none."""
+    """Positions, shape (m,) [rad or m], if given."""
     velocities: Floats | None = None
-    """Velocities, shape (m,) [rad/s or m/s]; None if the reference has none."""
+    """Velocities, shape (m,) [rad/s or m/s], if given."""
 
 
 class ControlLaw:
     """
     Computes efforts from joint states and references, according to the mode.
 
-    The dynamics include all n joints of the robot. Joints that are not commanded are assumed to
-    have zero acceleration. ``index`` contains the indices of the m commanded joints among the n
-    joints.
+    The dynamics include all n joints of the robot. Uncommanded joints are assumed to have zero
+    acceleration. ``index`` contains the indices of the m commanded joints among the n joints.
 
     """
 
@@ -54,20 +53,19 @@ class ControlLaw:
         self._velocities = self._rest
         self._no_efforts = self.added = np.zeros(len(index))
         """
-        Efforts to add to the computed efforts, shape (m,) [N m or N]. These come from the
-        reference, from the springs and dampers of joint impedance, or, during hand guiding, from
-        friction compensation and guiding damping.
+        Efforts to add to the computed efforts, shape (m,) [N m or N]. The reference, joint
+        impedance or hand guiding provides these efforts.
         """
         self.equilibrium: Floats | None = None
         """
-        Positions at which joint impedance holds the commanded joints, shape (m,) [rad or m]. If
-        None, joint impedance uses the positions measured in the next step.
+        Positions at which joint impedance holds the commanded joints, shape (m,) [rad or m]. None
+        means the positions measured in the next step.
         """
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
         self._has_last_inputs = False  # whether the inputs above produced the last command
         self._velocity_filter = LowPass(np.zeros(n))
-        self._followed: Floats | None = None  # reference positions of the last step with feedback
+        self._followed: Floats | None = None  # last reference positions of computed torque
 
     def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
         """Change the settings; ``of_joint`` is the result of `Settings.expanded`."""
@@ -83,13 +81,13 @@ class ControlLaw:
         self._has_last_inputs = False
 
     def phase(self, now: float, state: State, reference: Reference | None) -> Phase:
-        """Return the phase: whether the reference is followed and, if not, why."""
+        """Decide whether the reference is followed, and return the phase."""
         is_held = self.settings.mode is Mode.JOINT_IMPEDANCE
         without_reference = Phase.HOLDING if is_held else Phase.FLOATING
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
             return without_reference
         timeout = self.settings.reference_timeout or math.inf
-        # If the clock was set back, the age may be negative.
+        # The age may be negative after the clock was set back.
         if not 0.0 <= now - reference.time <= timeout:
             return without_reference
         if not self._is_far(state, reference):
@@ -113,7 +111,7 @@ class ControlLaw:
         elif self.equilibrium is None:
             self.equilibrium = state.q[self._index].copy()
         qd = self._smooth(now, state)
-        # The arrays of the state change with the next message.
+        # Copy the state, because the next message overwrites its arrays.
         self._last_q[:], self._last_qd[:] = state.q, qd
         self._last_reference, self._has_last_inputs = reference, True
         return self._efforts(state.q, qd, reference)
@@ -134,12 +132,12 @@ class ControlLaw:
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations used to compute the last efforts, each of shape (n,)."""
+        """Velocities and accelerations that produced the last efforts, each of shape (n,)."""
         return self._velocities, self._qdd
 
     @property
     def followed(self) -> Reference | None:
-        """The reference that the last command followed; None without such a reference."""
+        """The reference that the last command followed, if any."""
         return self._last_reference if self._has_last_inputs else None
 
     def distance(self, start: Floats, target: Floats) -> Floats:
@@ -173,11 +171,11 @@ class ControlLaw:
         return bool(np.abs(self.distance(start, reference.positions)).max() > limit)
 
     def _smooth(self, now: float, state: State) -> Floats:
-        """Return the measured velocities, filtered by the low-pass."""
+        """Filter the measured velocities."""
         if not self._velocity_filter.cutoff:
             return state.qd
         times = np.full(len(state.q), state.time) if state.times is None else state.times
-        # A late joint is assumed to be at rest: its filter restarts at once with zero velocity.
+        # The filter of a late joint restarts, because the joint is assumed to be at rest.
         is_late = now - times > self._timeouts
         return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
 
@@ -204,7 +202,7 @@ class ControlLaw:
         return self._tau
 
     def _with_feedback(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
-        """Return the accelerations of the reference plus the feedback of computed torque."""
+        """Add feedback to the accelerations of the reference."""
         qdd = reference.accelerations
         with np.errstate(all='ignore'):
             if reference.positions is not None:
@@ -247,8 +245,8 @@ class DriveReference:
     Computes positions and velocities to send with the efforts.
 
     A drive with its own gains adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort.
-    While ``law`` follows a reference, the drive receives this reference. Otherwise the drive
-    receives the measured motion, so that its gains add nothing. The reference replaces the
+    While ``law`` follows a reference, the drive receives this reference. Otherwise, the drive
+    receives the measured motion, so that the gains add nothing. The reference replaces the
     measured motion gradually, because the gains of the drive are unknown.
 
     """
@@ -265,10 +263,9 @@ class DriveReference:
         Return positions [rad or m] and velocities [rad/s or m/s] to send, shape (m,).
 
         ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). The reference
-        replaces the measured motion over a ramp of length ``start_ramp`` [s], which advances by
-        ``elapsed`` [s]; see `RampClock`. If the reference is farther from a joint than
-        ``farthest`` [rad or m], the measured motion is sent. If ``farthest`` is 0, any distance
-        is accepted.
+        replaces the measured motion over ``start_ramp`` [s]. ``elapsed`` is the time step of this
+        ramp [s]; see `RampClock`. The measured motion is sent if the reference is farther from a
+        joint than ``farthest`` [rad or m]. If ``farthest`` is 0, any distance is accepted.
 
         """
         reference = self._law.followed
@@ -279,7 +276,7 @@ class DriveReference:
         self.weight = min(1.0, self.weight + ramp_fraction(elapsed, start_ramp))
         velocities = reference.velocities
         if velocities is None:
-            # Without positions and velocities, the drive receives the measured motion.
+            # If positions are missing too, the drive receives the measured velocities.
             velocities = np.zeros_like(qd) if reference.positions is not None else qd
         return q + self.weight * distance, qd + self.weight * (velocities - qd)
 
@@ -301,7 +298,7 @@ def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
 
 
 def _compact_index(index: list[int]) -> Any:
-    """Return consecutive indices as a slice, because numpy is then three times as fast."""
+    """Return a slice if the indices are consecutive, because slices are three times as fast."""
     first = index[0]
     if index == list(range(first, first + len(index))):
         return slice(first, first + len(index))
@@ -309,7 +306,7 @@ def _compact_index(index: list[int]) -> Any:
 
 
 def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
-    """Return the indices of the commanded joints among the joints of the robot."""
+    """Return the indices of joints in the robot; raise a ConfigurationError for invalid names."""
     if not joints:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
     if len(set(joints)) != len(joints):
@@ -317,8 +314,8 @@ def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
     unknown = [name for name in joints if name not in robot.joint_names]
     if unknown:
         raise ConfigurationError(
-            f"joints lists '{unknown[0]}', expected joints of robot '{robot.name}' that are not "
-            f'fixed and do not mimic another joint: {", ".join(robot.joint_names)}'
+            f"joints lists '{unknown[0]}', expected movable joints of robot '{robot.name}' except "
+            f'mimic joints: {", ".join(robot.joint_names)}'
         )
     return robot.joint_indices(joints)
 
@@ -327,10 +324,10 @@ def _describe_overflow(
     joint_names: Sequence[str], inputs: Mapping[str, Floats], efforts: Floats
 ) -> str:
     """
-    Explain efforts that are not finite: name a joint and a value.
+    Name the joint and the value that made an effort infinite.
 
-    ``inputs`` contains the inputs of the computation by name. If all inputs are plausible, a
-    computed effort is named. All arrays have shape (n,).
+    ``inputs`` contains the inputs of the computation by name. If all inputs are plausible, the
+    value is a computed effort. All arrays have shape (n,).
 
     """
     name, joint = _largest(inputs)
@@ -342,7 +339,7 @@ def _describe_overflow(
 
 
 def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
-    """Return name and index of the value with the largest magnitude; NaN means infinite."""
+    """Return name and index of the largest magnitude; NaN is regarded as infinite."""
     sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
     row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
     return list(arrays)[int(row)], int(joint)

@@ -1,11 +1,12 @@
 """
-Applies external loads over time: payloads, wrenches, gravity and the motion of the base.
+Applies payloads, wrenches, gravity and the motion of the base to the dynamics.
 
 Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
 of the base take effect at once. A wrench fades out when its messages stop. When the messages about
-the base stop, gravity keeps its last value. A ramp keeps its initial duration. Changed settings
-and clock jumps never reverse a ramp. This module uses neither ROS nor a clock. The time is an
-argument.
+the base stop, gravity keeps its last value. A change of `load_ramp` does not affect a ramp in
+progress.
+
+This module uses neither ROS nor a clock. Callers pass the time.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from .settings import LARGEST_GRAVITY, LoadSettings
 STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
-_ROUNDING = 1e-3  # rounding error permitted for flat bodies; fraction of the sum of the moments
+_ROUNDING = 1e-3  # permitted rounding error of principal moments, relative to their sum
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -38,9 +39,9 @@ class _PayloadRamp(NamedTuple):
     old: RigidBody
     new: RigidBody
     duration: float
-    """Duration of the ramp [s]."""
+    """Duration [s]."""
     fraction: float
-    """Fraction of the ramp that has elapsed."""
+    """Elapsed fraction of the ramp."""
 
     @property
     def payload(self) -> RigidBody:
@@ -52,22 +53,23 @@ class _Wrench(NamedTuple):
     force: Floats
     moment: Floats
     time: float
-    """Time at which the wrench arrived [s]."""
+    """Time of arrival [s]."""
     duration: float
     """Duration of the fade [s]; fixed when the fade starts."""
     fraction: float
-    """Fraction of the wrench that is applied; falls below 1 when the wrench fades."""
+    """Applied fraction of the wrench; falls from 1 to 0 while the wrench fades."""
 
 
 class ExternalLoads:
     """
-    Tracks the external loads on the robot and applies them to the dynamics.
+    Tracks external loads, and applies the loads to the dynamics of a robot.
 
     Only this object may set the payloads, wrenches, gravity and base motion of ``dynamics``.
     ``gravity`` is the initial free-fall acceleration in the base frame, shape (3,) [m/s^2]. The
     base frame is the frame of ``base_link``, or of the root link if this name is empty. A
-    ConfigurationError is raised if gravity does not consist of three finite numbers, if the base
-    link does not exist, or if a joint moves the base link.
+    ConfigurationError is raised unless gravity consists of three finite numbers. A
+    ConfigurationError is also raised if the base link does not exist, or if a joint moves the base
+    link.
 
     """
 
@@ -82,7 +84,7 @@ class ExternalLoads:
         self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
         self.settings = settings or LoadSettings()
         self.payloads: dict[str, RigidBody] = {}
-        """Latest payload of each loaded link, including payloads still being ramped in."""
+        """Latest payload of each loaded link; the ramp to this payload may be in progress."""
         self.include_gravity = True
         """Whether the efforts include gravity and the acceleration of the base."""
         self.imu_time = -math.inf
@@ -93,7 +95,7 @@ class ExternalLoads:
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
         self._is_base_lost = True
-        self._is_new_signal = False  # whether the next motion of the base begins a new signal
+        self._is_new_signal = False  # whether the next motion of the base restarts the filter
         self._gravity_ramp = self.settings.load_ramp  # [s]
         self._write_base()
 
@@ -102,8 +104,8 @@ class ExternalLoads:
         Ramp in the new payload of a link; return False if the link already has this payload.
 
         The arguments are those of `InverseDynamics.set_payload`. A mass of 0 removes the payload.
-        A ConfigurationError is raised if the link does not exist, or if `_read_payload` rejects
-        the payload.
+        A ConfigurationError is raised if the link does not exist, if no rigid body can have this
+        mass and inertia, or if a number is larger than 1e9.
 
         """
         self.dynamics.robot.link_index(link)
@@ -122,12 +124,12 @@ class ExternalLoads:
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
     ) -> bool:
         """
-        Apply a wrench of the environment to a link; without renewal, the wrench fades out.
+        Apply an external wrench to a link; a wrench that is not renewed fades out.
 
         ``now`` is the time [s]. The other arguments are those of
         `InverseDynamics.set_external_wrench`. The result is true if efforts may jump because the
-        link had no wrench, or had one that was not renewed in time. A ConfigurationError is raised
-        unless the link exists, and each vector consists of three numbers from -1e9 to 1e9.
+        link had no recent wrench. A ConfigurationError is raised unless the link exists and each
+        vector consists of three numbers from -1e9 to 1e9.
 
         """
         self.dynamics.robot.link_index(link)
@@ -157,8 +159,8 @@ class ExternalLoads:
         Set the motion of the base from IMU data; the specific force replaces gravity.
 
         ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
-        ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result
-        is true if efforts may jump because the motion was unknown or a new signal began. A
+        ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result is
+        true if efforts may jump because the motion was unknown or the filter restarted. A
         ConfigurationError is raised unless each vector consists of three numbers from -500 to 500.
 
         """
@@ -177,7 +179,7 @@ class ExternalLoads:
         return was_lost
 
     def expect_new_signal(self) -> None:
-        """Restart the filter with the next motion of the base, and blend this motion in."""
+        """Restart the filter with the next motion of the base."""
         self._is_new_signal = True
 
     def is_base_known(self, now: float) -> bool:
@@ -188,8 +190,8 @@ class ExternalLoads:
         """
         Advance the ramps, fade out stale wrenches, and detect an unknown motion of the base.
 
-        Ramps advance by ``elapsed`` [s]; see `RampClock`. The result is true if efforts may jump
-        because the motion of the base has just become unknown.
+        ``elapsed`` is the time step of ramps [s]; see `RampClock`. The result is true if efforts
+        may jump because the motion of the base has just become unknown.
 
         """
         for link in list(self._ramps):
@@ -207,7 +209,7 @@ class ExternalLoads:
         return True
 
     def apply(self, settings: LoadSettings, include_gravity: bool) -> None:
-        """Change the settings, and whether gravity is included; ramps keep their duration."""
+        """Change the settings; a ramp in progress keeps its duration."""
         if settings.imu_filter_cutoff != self.settings.imu_filter_cutoff:
             self.expect_new_signal()
         self.settings = settings
@@ -239,10 +241,10 @@ class ExternalLoads:
 
     def continue_from(self, other: ExternalLoads) -> list[str]:
         """
-        Take over the loads for another robot description at once, without ramps.
+        Take over the loads of another robot description, without ramps.
 
-        Payloads on links that do not exist in this robot are dropped. The result lists the missing
-        links. ``other`` must not be used afterwards.
+        A payload is dropped if this robot lacks the link. The result lists the links of the
+        dropped payloads. ``other`` must not be used afterwards.
 
         """
         dropped = []
@@ -270,7 +272,7 @@ class ExternalLoads:
 
     @property
     def gravity_at_root(self) -> Floats:
-        """Current free-fall acceleration in the root frame [m/s^2], even if efforts exclude it."""
+        """Current free-fall acceleration in the root frame [m/s^2]."""
         at_root: Floats = self._R_0B @ self._gravity
         return at_root
 
@@ -319,7 +321,7 @@ class ExternalLoads:
 
 
 def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:
-    """Return rotation and origin of the base link's frame in the frame of the root link."""
+    """Return the rotation and origin of the base frame in the root frame."""
     robot = dynamics.robot
     if not base_link:
         return np.eye(3), np.zeros(3)
@@ -345,7 +347,7 @@ def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRO
 
 def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     """
-    Validate a payload; return `NO_PAYLOAD` if its mass is zero.
+    Validate a payload; return `NO_PAYLOAD` if the mass is zero.
 
     A ConfigurationError is raised if no rigid body can have this mass and inertia, or if a number
     is larger than 1e9.
@@ -369,7 +371,7 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
             f'payload has an inertia that is physically impossible: one of the principal moments '
             f'({moments} kg m^2) exceeds the sum of the others'
         )
-    # Remove negative moments due to rounding: a blend of such inertias would be rejected.
+    # Remove negative moments due to rounding, because their blends would be rejected.
     shift = max(0.0, -float(principal[0]))
     return payload._replace(inertia=payload.inertia + shift * np.eye(3))
 
@@ -384,5 +386,5 @@ def _is_same(one: RigidBody, other: RigidBody) -> bool:
 
 
 def _blend_payloads(old: RigidBody, new: RigidBody, fraction: float) -> RigidBody:
-    """Blend two payloads: ``fraction`` of the new one, and the remaining fraction of the old."""
+    """Blend two payloads; ``fraction`` is the weight of the new payload."""
     return combine([old.scale(1.0 - fraction), new.scale(fraction)])

@@ -14,11 +14,11 @@ class LowPass:
     """
     First-order low-pass filter for an array that is sampled at irregular times.
 
-    The elements may be sampled at different times. After a long gap or a step back in time, an
-    element restarts: its filtered value becomes its latest sample. An element also restarts if its
-    filtered value would not be finite.
+    The elements may be sampled at different times. An element restarts from the latest sample
+    after a long gap or a step back in time, or if its filtered value is not finite.
 
-    ``value`` is the initial filtered value. A ``cutoff`` of 0 Hz disables the filter.
+    ``value`` is the initial filtered value. ``cutoff`` is the cutoff frequency [Hz]; 0 disables
+    the filter.
 
     """
 
@@ -41,10 +41,10 @@ class LowPass:
         restarts: bool | Booleans = False,
     ) -> Floats:
         """
-        Filter a copy of a sample; return the filtered value, an array of the same shape.
+        Filter a sample; return the filtered value as a new array of the same shape.
 
-        ``time`` [s], ``longest_gap`` [s] and ``restarts`` each have one value for all elements, or
-        one value for each element. An element restarts if its last sample is older than
+        ``time`` [s], ``longest_gap`` [s] and ``restarts`` have one value for all elements, or one
+        value for each element. An element restarts if its last sample is older than
         ``longest_gap``, or if ``restarts`` is true for this element.
 
         """

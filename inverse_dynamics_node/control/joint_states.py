@@ -29,12 +29,12 @@ _VELOCITY_TIMEOUT = 0.05  # [s]
 _MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
 _LONGEST_NAME = 100  # [characters]; longer names take too long to compare
 LONG_AGO = -1e300
-"""Time stored for a locked joint until its first report [s]; finite, so that the age is finite."""
+"""Time of a locked joint before its first report [s]; finite, so that the age is finite."""
 # Rows of the known state, with one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, with one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
-# Results of `store_joint_state`: `NOT_FINITE`, or `CONSISTENT` plus any of the flags.
+# Results of `store_joint_state`: `NOT_FINITE`, or `CONSISTENT` plus any of the later flags.
 NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED, LEAPT = 0, 1, 2, 4, 8
 
 Numbers = Sequence[float] | Floats
@@ -52,38 +52,38 @@ class State(NamedTuple):
     times: Floats | None = None
     """Arrival time of each joint's state, shape (n,) [s]; None if all arrived at `time`."""
     is_consistent: bool = True
-    """False while positions of a commanded joint alternate faster than the joint can move."""
+    """False while positions of a commanded joint alternate; see `position_tracks`."""
 
 
 @dataclass
 class Layout:
-    """Joint names in the messages of one publisher, and the places to store the values."""
+    """Joint names of a message, and the places to store its values."""
 
     names: tuple[str, ...]
     """All names in the message."""
     places: Integers
-    """Indices of the k known joints, shape (2, k): first in the robot, then in the message."""
+    """Indices of the k known joints in the robot and in the message, shape (2, k)."""
     received: Floats
     """Positions, velocities and efforts of the last message, shape (3, number of names)."""
     has_joints: bool
     """Whether the message names any joint of this robot."""
     losses: int = -1
-    """`JointStateCollector._losses` at the last check; -1 if a joint had no velocity then."""
+    """`JointStateCollector._losses` at the last check; -1 if a joint had no velocity."""
 
 
 class JointStateCollector:
     """
     Collects joint states by joint name; each message may contain any joints in any order.
 
-    The drivers of an arm and its gripper often publish their joints on the same topic. Every joint
-    therefore has its own arrival time.
+    Every joint has its own arrival time, because the drivers of an arm and a gripper often share a
+    topic.
 
     ``joint_names`` are the n joints of the robot. Other joints are ignored. ``locked`` contains
-    positions [rad or m] for joints that might never be reported. Such a position applies until the
-    first report of the joint. Locked joints are never missing and never stale. ``commanded`` lists
-    the joints that need a fresh state. By default, these are all joints that are not locked.
-    ``robot`` provides the speed limits that distinguish motion from alternating positions. A
-    ConfigurationError is raised if a locked joint is unknown, or if its position is not finite.
+    positions [rad or m] for joints that might never be reported. A locked position applies until
+    the first report of the joint. Locked joints are never missing and never stale. ``commanded``
+    lists the joints that need a fresh state. By default, all joints that are not locked need a
+    fresh state. ``robot`` provides the speed limits for `position_tracks`. A ConfigurationError is
+    raised if a locked joint is unknown, or if a locked position is not finite.
 
     """
 
@@ -102,28 +102,28 @@ class JointStateCollector:
         self.times[:], self.efforts[:] = -math.inf, math.nan
         self.has_jumped = False
         """
-        Set when the state may have jumped; cleared by the reader. There are four causes:
+        Set when the state may have jumped; cleared by the reader. The possible causes are:
 
         - A joint has moved further than it can.
-        - A joint that is not commanded has become late, or is no longer late or locked.
-        - The positions of a joint that is not commanded have begun or ceased to alternate.
+        - An uncommanded joint has become late, or is no longer late or locked.
+        - The positions of an uncommanded joint have begun or ceased to alternate.
         - The velocity of a joint was reported for the first time, or is no longer reported.
         """
         self.has_leapt = False
         """Set when a commanded joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """After a velocity, messages without velocities are rejected for this time [s]."""
+        """Messages without velocities are rejected for this time after a velocity [s]."""
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
-        """Number of late, uncommanded and unlocked joints, as found by `rest_late`."""
+        """Number of late joints that `rest_late` found, except commanded and locked joints."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
         self._losses = 0  # how often velocities were lost
         self._lock(locked or {})
         self.is_free = self.times == -math.inf
-        """True for joints that are not locked, shape (n,)."""
+        """True for unlocked joints, shape (n,)."""
         self._is_commanded = self.is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
@@ -154,7 +154,7 @@ class JointStateCollector:
         velocities: Numbers,
         efforts: Numbers = (),
     ) -> bool:
-        """Store one joint state with any names; see `store`."""
+        """Store one joint state; see `store`."""
         return self.store(now, self.layout(tuple(names)), positions, velocities, efforts)
 
     def store(
@@ -166,16 +166,16 @@ class JointStateCollector:
         efforts: Numbers = (),
     ) -> bool:
         """
-        Store one joint state completely, or reject it completely.
+        Store one joint state completely, or raise an error and store nothing.
 
         ``now`` is the time of arrival [s]. ``layout`` is the result of the method `layout` for the
         names in the message. ``positions`` has one value for each name. ``velocities`` and the
-        measured ``efforts`` have one value for each name, or are empty. Velocities that are absent
-        or NaN are stored as zero. However, the absence of a velocity is an error shortly after
-        this velocity was reported; see `velocity_timeout`.
+        measured ``efforts`` have one value for each name, or are empty. Missing and NaN velocities
+        are stored as zero. A missing velocity is an error within `velocity_timeout` after the last
+        velocity of the joint.
 
-        The result says whether the message names any joint of the robot. If the lengths differ or
-        a necessary value is not finite, a JointStateError is raised and nothing changes.
+        The result is true if the message names a joint of the robot. A JointStateError is raised
+        if the lengths differ, or if a necessary value is not finite.
 
         """
         names = layout.names
@@ -217,12 +217,12 @@ class JointStateCollector:
 
     @property
     def is_consistent(self) -> bool:
-        """False while positions of a commanded joint alternate faster than the joint can move."""
+        """False while positions of a commanded joint alternate; see `position_tracks`."""
         return self._is_consistent
 
     @property
     def has_alternating(self) -> bool:
-        """Whether positions of any joint alternate faster than the joint can move."""
+        """Whether positions of any joint alternate; see `position_tracks`."""
         return self._has_alternating
 
     def at(self, now: float, timeout: float) -> State | None:
@@ -243,7 +243,7 @@ class JointStateCollector:
                 raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
     def continue_from(self, other: JointStateCollector) -> None:
-        """Copy the states of the joints that both collectors have in common."""
+        """Copy the states of joints that both collectors contain."""
         for name, i in self._index.items():
             k = other._index.get(name)
             if k is not None and other.times[k] > LONG_AGO:
@@ -258,7 +258,7 @@ class JointStateCollector:
         return self._named(self.times == -math.inf)
 
     def similar_names(self) -> list[str]:
-        """Return reported names that resemble missing joints, but do not exist in this robot."""
+        """Return reported names that resemble missing joints, but are unknown."""
         closest: list[str] = []
         for name in self.missing():
             closest += difflib.get_close_matches(name, self._foreign_names, 1)
@@ -270,10 +270,10 @@ class JointStateCollector:
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
         """
-        Return late joints that are neither commanded nor locked, with the ages of the states [s].
+        Return the ages of late joints that are neither commanded nor locked, by name [s].
 
-        A joint is late if it was not reported within the timeout [s]. Joints that were never
-        reported are not included.
+        A joint is late if its last report is older than the timeout [s]. Joints without a report
+        are not included.
 
         """
         is_late = self.is_free & ~self._is_commanded & self._is_old(now, timeout)
@@ -281,12 +281,12 @@ class JointStateCollector:
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
     def alternating(self) -> dict[str, tuple[float, float]]:
-        """Return the joints with alternating positions, each with two of these positions."""
+        """Return, by name, two positions of each joint with alternating positions."""
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 
     def forget_silent(self, now: float) -> None:
-        """End the alternation alarms of joints that are no longer reported; ``now`` is in [s]."""
+        """End the alarms of joints that are no longer reported; ``now`` is in [s]."""
         if self._has_alternating:
             forget_silent(self._tracks, now - self.times)
             self._find_alternating()
@@ -295,7 +295,7 @@ class JointStateCollector:
         """
         Set the velocities of late, uncommanded joints to zero; times are in [s].
 
-        Otherwise, a joint whose states no longer arrive would keep its last velocity forever.
+        Otherwise, a joint that is no longer reported would keep its last velocity forever.
 
         """
         if self._has_alternating:
@@ -310,7 +310,7 @@ class JointStateCollector:
         self.qd[is_resting] = 0.0
 
     def unseen(self) -> list[str]:
-        """Return the joints that use their locked position because they were never reported."""
+        """Return the locked joints that were never reported."""
         return self._named(self.times == LONG_AGO)
 
     def without_velocity(self) -> list[str]:
@@ -351,8 +351,8 @@ class JointStateCollector:
         is_finite = np.isfinite(qd)
         self._reject('position', q, np.isfinite(q), in_robot)
         has_velocity, times = self._has_velocity[in_robot], self.times[in_robot]
-        # A brief absence of a velocity is a fault. If the velocity stays absent, earlier values
-        # may have come from another publisher, such as ros2 topic pub.
+        # A velocity that is missing briefly is a fault. A velocity that stays missing may have
+        # come from another publisher, such as ros2 topic pub.
         is_recent = (now >= times) & (now < times + self.velocity_timeout)
         is_lost = has_velocity & np.isnan(qd) & ~is_recent
         self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)
@@ -411,10 +411,10 @@ def compile_kernels() -> None:
 @compiled
 def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
     """
-    Return the oldest arrival time [s] of the commanded joints, and that of the other joints.
+    Return the oldest arrival times [s] of the commanded joints and of the other joints.
 
     ``times`` contains the arrival time of each joint's state, shape (n,). Locked joints that were
-    never reported are ignored. The result for a group without joints is inf.
+    never reported are ignored. The time of a group without joints is inf.
 
     """
     commanded = others = math.inf
@@ -441,20 +441,19 @@ def store_joint_state(
 
     - ``received`` contains positions, velocities and efforts of the l joints in a message, shape
       (3, l).
-    - ``places`` contains the indices of the k joints to store, shape (2, k): first among the n
-      joints of the robot, then among the l joints in the message.
-    - ``known`` receives positions, velocities, times and efforts, shape (4, n). While the reported
-      positions of an uncommanded joint alternate, the joint keeps its last position, and its
-      velocity is zero.
+    - ``places`` contains the indices of the k joints to store, shape (2, k). Row 0 refers to the
+      robot, row 1 to the message.
+    - ``known`` receives positions, velocities, times and efforts, shape (4, n). While positions of
+      an uncommanded joint alternate, the last position stays, and the velocity is zero.
     - ``tracks`` comes from `position_tracks.make_tracks`.
     - ``now`` is the time [s].
 
-    The result is `NOT_FINITE` if a position or velocity is not finite. Otherwise, the
-    result is `CONSISTENT` plus any of the following flags:
+    The result is `NOT_FINITE` if a position or velocity is not finite. Otherwise, the result is
+    `CONSISTENT` plus any of the following flags:
 
     - `ALTERNATING`: the positions of a joint alternate faster than the joint can move.
-    - `JUMPED`: a joint whose position is stored has moved further than it can.
-    - `LEAPT`: the joint that has moved too far is commanded.
+    - `JUMPED`: a joint has moved further than it can, and the new position is stored.
+    - `LEAPT`: a commanded joint has moved further than it can.
 
     """
     in_robot, in_message = places[0], places[1]

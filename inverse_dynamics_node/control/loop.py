@@ -1,7 +1,7 @@
 """
-The control loop of one robot: joint state -> phase -> efforts -> command.
+The control loop of one robot, from joint states to commands.
 
-This module uses neither ROS nor a clock. The time is an argument.
+This module uses neither ROS nor a clock. Callers pass the time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
-# Settings that change the inputs of the computation. Other settings change only the results.
+# Settings that affect the inputs of the computation. Other settings only affect the results.
 _INPUT_SETTINGS = (
     'mode',
     'state_timeout',
@@ -39,7 +39,7 @@ _INPUT_SETTINGS = (
 
 
 class Command(NamedTuple):
-    """The efforts of one step, and what the robot receives."""
+    """The computed efforts of one step, and the efforts to send."""
 
     efforts: Floats
     """Computed efforts, always finite, shape (m,) [N m or N]; valid until the next step."""
@@ -48,18 +48,18 @@ class Command(NamedTuple):
     is_slowed: Booleans
     """Whether a rate limit slowed the change of each effort, shape (m,)."""
     sent: Floats | None = None
-    """Efforts to send to the robot [N m or N]; None while a `DryRun` sends nothing."""
+    """Efforts to send to the robot [N m or N]; None if nothing is sent during a dry run."""
 
 
 class Controller:
     """
-    Computes one command per step; the same inputs always produce the same commands.
+    Computes one command per step; equal inputs produce equal commands.
 
-    The dynamics include all n joints of the robot. Joints that are not commanded are assumed to
-    have zero acceleration. ``joints`` lists the m joints to command, in the order of the commands.
-    An empty list means all joints of the robot. ``period`` is the time between steps [s]; 0 if
-    there is a step for each joint state. A ConfigurationError is raised if a joint cannot be
-    commanded, or if a setting does not fit the joints.
+    The dynamics include all n joints of the robot. Uncommanded joints are assumed to have zero
+    acceleration. ``joints`` lists the m joints to command, in the order of the commands. An empty
+    list means all joints of the robot. ``period`` is the time between steps [s]; 0 if each joint
+    state triggers a step. A ConfigurationError is raised if a joint cannot be commanded, or if a
+    setting does not fit the joints.
 
     """
 
@@ -88,10 +88,10 @@ class Controller:
         """
         Change the settings; the next step continues from the last command.
 
-        Make other changes, for example of friction, before this call. The effect of all changes
-        is blended in over the start ramp, so that the efforts do not jump. ``of_joint`` is the
-        result of `Settings.expanded`, if known. A ConfigurationError is raised and nothing changes
-        if a setting per joint has neither one value nor one value for each commanded joint.
+        Call this method after other changes, for example of friction. All changes are blended in
+        over the start ramp, so that the efforts do not jump. ``of_joint`` is the result of
+        `Settings.expanded`, if known. If a setting has the wrong number of values, a
+        ConfigurationError is raised and nothing changes.
 
         """
         of_joint = of_joint or settings.expanded(len(self.joints))
@@ -118,7 +118,7 @@ class Controller:
 
     def blend(self) -> None:
         """
-        Fade from the last command to the computed efforts, in the time of the start ramp.
+        Fade from the last command to the computed efforts over the start ramp.
 
         Call this method when the computed efforts change without motion, for example after a
         change of the robot description or gravity.
@@ -153,17 +153,17 @@ class Controller:
 
     @property
     def ramp_step(self) -> float:
-        """Time by which ramps advance with this command [s]; see `RampClock`."""
+        """Time step of ramps for this command [s]; see `RampClock`."""
         return self._shaper.clock.step
 
     @property
     def time_to_fall(self) -> float:
-        """Time until a stop ramp, in progress or started now, reaches zero [s]."""
+        """Time to ramp the last command down to zero [s]."""
         return self._shaper.time_to_fall
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations used to compute the last efforts, each of shape (n,)."""
+        """Velocities and accelerations that produced the last efforts, each of shape (n,)."""
         return self.law.motion
 
     def cause_of_failure(self) -> str:
@@ -214,18 +214,18 @@ class Controller:
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
-        Compute the command for one time; None before the first complete joint state.
+        Compute the next command; return None before the first complete joint state.
 
-        ``now`` is the time [s], on the same clock as the times of state and reference. ``state``
-        is the latest joint state, and ``reference`` is the latest reference. Each argument is
-        None until its first message arrives.
+        ``now`` is the time [s], measured by the same clock as the times of ``state`` and
+        ``reference``. ``state`` is the latest joint state, and ``reference`` is the latest
+        reference. Pass None if no state or no reference has arrived.
 
         """
         self.pass_time(now)
         return self.command(state, reference)
 
     def pass_time(self, now: float) -> float:
-        """Advance to the time of a command [s]; return the time by which ramps advance [s]."""
+        """Advance to the time of a command [s]; return the time step of ramps [s]."""
         self._time = now
         clock = self._shaper.clock
         if clock.advance(now):
@@ -233,7 +233,7 @@ class Controller:
         return clock.step
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
-        """Compute the command for the time passed to `pass_time`; see `step` for the arguments."""
+        """Compute the command for the time of the last `pass_time`; see `step`."""
         now, settings = self._time, self.settings
         supervisor, law, shaper = self.supervisor, self.law, self._shaper
         damping = self.stop_damping
@@ -246,7 +246,7 @@ class Controller:
         if blocking is None:
             assert state is not None
             if not shaper.continues:
-                law.release()  # the arm may have moved; the commands are blended
+                law.release()  # the arm may have moved away from the old equilibrium
             phase = law.phase(now, state, reference)
             tau = law.efforts(now, state, reference if phase is Phase.RUNNING else None)
             if tau is not None and shaper.follow(tau, law.added):
@@ -267,7 +267,7 @@ class Controller:
 
     @property
     def recovery_time(self) -> float:
-        """Time for which joint states must arrive without a gap before a loss ends [s]."""
+        """A loss ends after joint states have arrived for this time without a gap [s]."""
         return recovery_time(self.settings.state_timeout)
 
 
@@ -277,12 +277,11 @@ class ControlLoop:
 
     ``joints`` lists the m joints to command, in the order of the commands. An empty list means all
     joints. ``settings`` apply to the controller, and ``load_settings`` to the external loads.
-    ``period`` is the time between steps [s]; 0 if there is a step for each joint state.
-    ``gravity`` is the free-fall acceleration in the frame of the base link [m/s^2]; see
-    `ExternalLoads`. ``locked`` contains the positions of locked joints; see `JointStateCollector`.
-    Locked joints cannot be commanded. With ``has_imu``, commands start only after the motion of
-    the base was first measured. An argument that does not fit the robot raises a
-    ConfigurationError.
+    ``period`` is the time between steps [s]; 0 if each joint state triggers a step. ``gravity`` is
+    the free-fall acceleration in the frame of the base link [m/s^2]; see `ExternalLoads`.
+    ``locked`` contains the positions of locked joints; see `JointStateCollector`. Locked joints
+    cannot be commanded. With ``has_imu``, there are no commands before the first message about the
+    motion of the base. A ConfigurationError is raised if an argument does not fit the robot.
 
     """
 
@@ -317,7 +316,7 @@ class ControlLoop:
         self.drive = DriveReference(self.controller.law)
 
     def start(self, *, is_dry_run: bool = False) -> None:
-        """Start with zero efforts, and drop any reference that has arrived."""
+        """Start with zero efforts and without a reference."""
         self.reference = None
         self.drive.weight = 0.0
         self.controller.start()
@@ -330,12 +329,17 @@ class ControlLoop:
 
     @property
     def has_to_stop(self) -> bool:
-        """Whether the robot holds a nonzero effort, or is subject to stop damping."""
+        """Whether the robot holds a nonzero effort, or stop damping is active."""
         is_damped = self.controller.stop_damping.is_active and not self.dry_run.is_active
         return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """Start a dry run, or end it if the commands are zero; return whether anything changed."""
+        """
+        Start or end a dry run; return whether anything changed.
+
+        A dry run cannot end while the robot holds a nonzero effort.
+
+        """
         dry_run, controller = self.dry_run, self.controller
         if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
             return False
@@ -350,12 +354,12 @@ class ControlLoop:
         return True
 
     def step(self, now: float) -> Command | None:
-        """Compute the command for one time [s]; None until all inputs in `missing` arrive."""
+        """Compute the command for one time [s]; return None while inputs are `missing`."""
         controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
         state = collector.at(now, controller.settings.uncommanded_state_timeout)
-        # Before the first command, no effort acts, so loads need no ramp.
+        # Loads need no ramp before the first command, because no effort acts.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
             if collector.has_leapt:
@@ -363,7 +367,7 @@ class ControlLoop:
             collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
-            # The clock was set back: the reference would be followed again at its old time.
+            # The clock was set back. Otherwise, the old reference would be followed again later.
             reference = self.reference = None
         if self.has_imu and self.lacks_imu:
             state = None
@@ -400,7 +404,7 @@ class ControlLoop:
         Describe the necessary inputs that have not arrived yet.
 
         ``states`` and ``imu`` are the topic names to use in the text. If the time ``now`` [s] is
-        given, the text also names joints whose positions are too old or contradict each other.
+        given, the text also names joints with old or contradictory positions.
 
         """
         joints = self.collector.missing()
@@ -427,9 +431,9 @@ class ControlLoop:
         """
         Continue from the last command and the inputs of another control loop.
 
-        Payloads on links that no longer exist are dropped. The result lists the missing links. The
-        other loop must not be used afterwards. If the two loops command different joints, a
-        ConfigurationError is raised and nothing changes.
+        A payload is dropped if this robot lacks the link. The result lists the links of the
+        dropped payloads. The other loop must not be used afterwards. If the two loops command
+        different joints, a ConfigurationError is raised and nothing changes.
 
         """
         self.controller.continue_from(other.controller)
@@ -438,7 +442,7 @@ class ControlLoop:
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
-        """Copy joint states and loads from another loop; return the missing links."""
+        """Copy joint states and loads from another loop; return the links of dropped payloads."""
         self.collector.continue_from(other.collector)
         return self.loads.continue_from(other.loads)
 
@@ -446,8 +450,8 @@ class ControlLoop:
         """
         Apply the scale and offset of the commands to modelled efforts [N m or N].
 
-        ``efforts`` and the result have shape (k, len(index)). ``index`` contains indices of joints
-        of the robot. Efforts of joints that are not commanded stay unchanged.
+        ``efforts`` and the result have shape (k, len(index)). ``index`` contains the indices of
+        the joints in the robot. Efforts of uncommanded joints stay unchanged.
 
         """
         scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
@@ -472,7 +476,7 @@ class ControlLoop:
         return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute the wrench that the mount exerts on the base link, in the frame of this link."""
+        """Compute force [N] and moment [N m] of the mount on the base link, in the base frame."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
@@ -503,5 +507,5 @@ class ControlLoop:
 
     @property
     def lacks_imu(self) -> bool:
-        """Whether the base has an IMU from which no measurement has arrived yet."""
+        """Whether the base has an IMU that has not sent any message yet."""
         return self.has_imu and self.loads.imu_time == -math.inf

@@ -36,15 +36,16 @@ from .status_text import (
     judge_reference,
 )
 
-_MOST_REASONS = 20  # number of reasons that are counted separately
-_LONGEST_PAUSE = 2.0  # [s]; a longer time between updates means that this process was suspended
+_MOST_REASONS = 20  # further reasons are counted together
+_LONGEST_PAUSE = 2.0  # [s]; a longer time between updates means that the process was suspended
 
 
 class Monitor:
     """
-    Counts events, and summarizes them in periodic reports.
+    Collects statistics for periodic reports.
 
-    ``period`` is the requested time between commands [s]; 0 for one command per joint state.
+    ``period`` is the requested time between commands [s]; 0 if each joint state produces a
+    command.
 
     """
 
@@ -54,9 +55,9 @@ class Monitor:
         self.clamped: Counter[str] = Counter()
         """How often the effort of each joint has been cut to its limit since the start."""
         self.slowed: Counter[str] = Counter()
-        """How often a rate limit has slowed a change of each joint's effort since the start."""
+        """How often a rate limit has slowed the effort of each joint since the start."""
         self.overruns = 0
-        """How many commands have come more than half a period late since the start."""
+        """Number of commands since the start that were more than half a period late."""
         self.period = period
         self._last = math.nan
         # Since the last report:
@@ -69,8 +70,8 @@ class Monitor:
         """
         Record one command.
 
-        ``now`` is the time at which the computation of the command began [s]. ``duration`` is the
-        time taken to compute and send the command [s].
+        ``now`` is the time when the computation of the command began [s]. ``duration`` is the time
+        to compute and send the command [s].
 
         """
         elapsed = now - self._last
@@ -180,9 +181,9 @@ class StalledPublishers:
         """
         Return the length of the silence [s].
 
-        ``is_expected`` says whether a connected publisher could send. The silence excludes time in
-        which no message was expected, and time in which this process was suspended. All times are
-        in [s].
+        ``is_expected`` says whether a connected publisher could send. The silence excludes times
+        without an expected message, and times when this process was suspended. All times are in
+        [s].
 
         """
         pause = now - self._last_update

@@ -1,29 +1,27 @@
 """
-Follows the reported positions of each joint, to detect two faults.
+Follows the reported positions of each joint to detect two faults.
 
-**Positions that alternate faster than a joint can move**, because two publishers report the same
-joint; see `track`. A reversal is a step against the direction of the previous step. The detector
-adds up the reversals, and subtracts the distance that the joint could cover at twice its speed
-limit in the same time. A single jump, for example due to homing or an encoder reset, therefore
-adds nothing. A fast motion with several samples between its turning points adds little. Messages
-may arrive late, or several at once. Motion within the speed limit stays below the threshold as
-long as no message is later than `LATENESS`. Three kinds of reversals are ignored, because they are
-harmless:
+**Alternating positions** change back and forth faster than the joint can move. Usually, two
+publishers report the same joint. `track` detects alternating positions by their reversals. A
+reversal is a step against the direction of the previous step. `track` adds up the reversals, and
+subtracts the distance that the joint could cover at twice its speed limit. A single jump, for
+example of a reset encoder, is not a reversal. Motion within the speed limit does not cause an
+alarm if each message is at most `LATENESS` late. Three kinds of reversals are ignored, because
+they are harmless:
 
 - reversals due to noise or coarse encoders
 - full turns of rotary joints
 - reversals due to a second publisher that relays the positions with a slight delay
 
-Relayed positions lag by a fraction of the distance that the joint has recently covered. If two
-publishers contradict each other, every step spans the whole distance between their positions.
+Relayed positions lag by a fraction of the distance that the joint has recently covered.
+Contradictory positions differ by the whole distance.
 
-**Positions that change faster than a joint can move**, whatever the cause; see `has_jumped`. For
-example, two nodes report the same joint, an encoder is reset, or a suspended process resumes and
-receives all messages of the pause within milliseconds. Because messages may be late, a joint may
-seem to move slightly faster than it can. Each joint therefore has some room for motion in each
-direction. The room grows at twice the speed limit, and shrinks as the joint moves in this
-direction. The room never exceeds the distance that the joint covers at twice the speed limit
-during the largest expected delay of a message. After a pause, the room is zero, because messages
+**Jumps** are faster than a joint can move, whatever the cause; see `has_jumped`. For example, an
+encoder is reset, or a suspended process resumes and receives many old messages at once. A joint
+may seem to move slightly too fast, because messages may be late. Each joint therefore has some
+room for motion in each direction. The room grows at twice the speed limit, and shrinks as the
+joint moves in this direction. The room is at most the distance that the joint covers at twice the
+speed limit within the largest expected delay. After a pause, the room is zero, because messages
 from the pause may still arrive.
 
 All times are times of arrival.
@@ -42,18 +40,17 @@ from ..robot.model import Floats, RobotModel
 LATENESS = 1.0
 """Largest delay of a message that does not cause a false alarm [s]."""
 _FACTOR = 2.0  # factor by which a joint may exceed its speed limit
-_LEAST_COUNT = 4  # number of reversals before an alarm: A, B, A, B, A, B
-# Smallest plausible, default and largest plausible speed limits: first of revolute joints [rad/s],
-# then of prismatic joints [m/s].
+_LEAST_COUNT = 4  # reversals before an alarm, as in positions A, B, A, B, A, B
+# Smallest, default and largest speed limits of revolute joints [rad/s] and prismatic joints [m/s].
 _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
 _NOISE = (0.02, 0.005)  # smaller steps are ignored [rad, m]
 _COARSEST = (0.1, 0.02)  # largest plausible step of an encoder [rad, m]
 _COUNTS = 2.5  # steps up to this multiple of the smallest step are ignored
 _LEAST_STEP = 1e-6  # [rad, m]; smaller steps may be rounding errors
 _WINDOW = 0.1  # [s]; `way` returns the range over the last one or two windows
-_RELAYED = 0.5  # fraction of `way` that is ignored, so that relays may be up to 50 ms late
+_RELAYED = 0.5  # ignored fraction of `way`, so that relays may be up to 50 ms late
 _LARGEST = 1e6  # [rad, m]; larger steps are cut to this size
-_DELAY = 0.03  # [s]; largest delay of a message that `has_jumped` expects
+_DELAY = 0.03  # [s]; largest message delay that `has_jumped` expects
 _LONGEST_STEP = 0.1  # [s]; a longer interval does not permit more motion
 
 # Rows of tracks, with one column per joint. Constants:
@@ -70,10 +67,10 @@ _ROWS = 21
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     """
-    Make the array, shape (21, n), in which `track` keeps the constants and history of n joints.
+    Make the tracks of n joints, an array of shape (21, n).
 
-    The speed limits are those of ``robot``. Without ``robot``, all joints are assumed to be
-    revolute.
+    Each column contains the constants and the history of a joint. The speed limits are those of
+    ``robot``. Without ``robot``, all joints are assumed to be revolute.
 
     """
     tracks = np.zeros((_ROWS, n))
@@ -95,7 +92,7 @@ def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
 
 
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
-    """Return the indices of joints with alternating positions, and two positions of each."""
+    """Return, by index, two positions of each joint with alternating positions."""
     return {
         int(i): (float(tracks[_OTHER, i]), float(tracks[_LAST, i]))
         for i in np.flatnonzero(tracks[_FLAG])
@@ -111,14 +108,14 @@ def forget_silent(tracks: Floats, ages: Floats) -> None:
 @compiled
 def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
-    Follow the positions of one joint; return whether they alternate.
+    Follow the positions of one joint; return whether the positions alternate.
 
     ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
     reported position [rad or m]. ``elapsed`` is the time since the previous report of this joint
     [s], or negative for the first report.
 
-    The sum of the reversals falls at twice the speed limit. After an alternation, the result stays
-    true until this sum is zero, at most 1 s after the last reversal.
+    The result stays true until the sum of the reversals has fallen to zero, at most 1 s after the
+    last reversal.
 
     """
     raw = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
@@ -136,7 +133,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
     if abs(step) > ignored:
-        # A wheel that makes half a turn between two reports only seems to reverse.
+        # A wheel seems to reverse if it makes half a turn between two reports.
         if step * tracks[_STEP, i] < 0.0 and raw * tracks[_RAW_STEP, i] < 0.0:
             excess += min(abs(step), abs(tracks[_STEP, i]))
             tracks[_COUNT, i] += 1.0
@@ -152,8 +149,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 @compiled
 def ignored_step(tracks: Any, i: int, step: float) -> float:
     """Return the largest step [rad or m] that noise or the encoder of a joint can explain."""
-    # Also consider the sum of two steps: if two publishers take turns, every second position
-    # comes from the same publisher.
+    # Include the sum of two steps, because every second position may come from the same publisher.
     for change in (step, step + tracks[_ANY_STEP, i]):
         if abs(change) > _LEAST_STEP:
             tracks[_SMALLEST, i] = min(tracks[_SMALLEST, i], abs(change))
@@ -187,7 +183,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
     reported position [rad or m]. ``elapsed`` is the time since the previous report of this joint
-    [s]: inf for the first report, and negative if the clock was set back.
+    [s]. This time is inf for the first report, and negative if the clock was set back.
 
     """
     speed = _FACTOR * tracks[_SPEED, i]
@@ -196,7 +192,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         tracks[_ROOM_ABOVE, i] = tracks[_ROOM_BELOW, i] = most
         return False
     step = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
-    # A full turn of a joint that is not continuous would change the computed-torque feedback.
+    # Ignore full turns of continuous joints only. Other full turns change the feedback.
     if abs(step) < _LARGEST and tracks[_IS_CONTINUOUS, i] != 0.0:
         step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
     if not 0.0 <= elapsed <= _LONGEST_STEP:

@@ -1,7 +1,7 @@
 """
-Settings of the controller and of the external loads; each is also a parameter of the node.
+Settings of the controller and of the external loads.
 
-Each setting is declared once, with its default and its description for users.
+Each setting is also a parameter of the node, and is declared only once.
 """
 
 # ruff: noqa: RUF009 -- setting() returns a dataclasses.field
@@ -41,19 +41,24 @@ class MeasuredGravity(enum.Enum):
     EXCLUDED = 'excluded'
 
     def is_included(self, in_commands: bool) -> bool:
-        """Return whether measured efforts contain gravity; ``in_commands`` says if commands do."""
+        """
+        Return whether measured efforts contain gravity.
+
+        ``in_commands`` says whether the commands contain gravity.
+
+        """
         if self is MeasuredGravity.AS_COMMANDED:
             return in_commands
         return self is MeasuredGravity.INCLUDED
 
 
 class StalePolicy(enum.Enum):
-    """What to do with the efforts when the joint state is lost."""
+    """How the efforts change when the joint state is lost."""
 
     ZERO = 'zero'
     """Ramp the efforts down to zero."""
     HOLD = 'hold'
-    """Keep the last efforts, for an arm that would otherwise fall and has reliable sensors."""
+    """Keep the last efforts, if the arm would otherwise fall and has reliable sensors."""
 
 
 PerJoint = float | tuple[float, ...]

@@ -1,8 +1,8 @@
 """
-The status that a node reports, as one record from the control loop to `watch`.
+The status that a node reports.
 
-`Monitor` makes the record, `write_status` and `read_status` transfer it through ``/diagnostics``,
-and `status_text` describes it in words.
+`Monitor` creates the status. `write_status` and `read_status` transfer the status through
+``/diagnostics`` to the command ``watch``. `status_text` describes the status in words.
 """
 
 # ruff: noqa: RUF009 -- key() returns a dataclasses.field
@@ -61,9 +61,9 @@ def key(name: str, form: str = '', absent: str = '', default: Any = None) -> Any
     """
     Declare a value with its key in ``/diagnostics``.
 
-    If ``name`` contains ``*``, there are several keys, each with a name or number in place of
-    ``*``. ``form`` is the format of numbers. ``absent`` is the text for None; without a text, the
-    key is omitted. ``default`` is the value if the key is not reported.
+    If ``name`` contains ``*``, the value has several keys. Each key has a name or number instead
+    of ``*``. ``form`` is the format of numbers. ``absent`` is the text for None. Without this
+    text, the key is omitted. ``default`` is the value if the key is not reported.
 
     """
     return field(default=default, metadata={'key': name, 'form': form, 'absent': absent})
@@ -80,7 +80,7 @@ class Part:
 
 @dataclass(frozen=True)
 class LoopStatus(Part):
-    """The control loop and its activity; statistics cover the time since the last report."""
+    """The control loop; rates and times refer to the time since the last report."""
 
     state: str = key('state', default='')
     """Lifecycle state."""
@@ -94,9 +94,9 @@ class LoopStatus(Part):
     compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
     """99th percentile of the computation times [s]."""
     overruns: int | None = key('overruns')
-    """How many commands have come more than half a period late since the start."""
+    """Number of commands since the start that were more than half a period late."""
     mode: Mode | None = key('mode')
-    """Mode of the controller; the mode and the values below are None unless the node is active."""
+    """Mode of the controller; None unless the node is active, like the values below."""
     phase: Phase | None = key('phase')
     is_dry_run: bool | None = key('dry run')
     gain: float | None = key('gain', '.3f')
@@ -175,7 +175,7 @@ class EffortsStatus(Part):
     cut_counts: Mapping[str, int] | None = key('* cut to limit')
     """How often the effort of each joint has been cut to its limit since the start."""
     slowed_counts: Mapping[str, int] | None = key('* slowed')
-    """How often a rate limit has slowed a change of each joint's effort since the start."""
+    """How often a rate limit has slowed the effort of each joint since the start."""
 
 
 @dataclass(frozen=True)
@@ -221,10 +221,10 @@ class Problem(NamedTuple):
 @dataclass(frozen=True)
 class NodeStatus:
     """
-    The complete status of a node, with its parts in the order of publication.
+    The complete status of a node, in the order of publication.
 
-    Parts that do not exist are None. The parts about the robot exist once the node is
-    configured. The clock exists if simulated time is used.
+    Parts that do not exist are None. The parts about the robot exist after the node is configured.
+    The clock part exists if simulated time is used.
 
     """
 
@@ -270,7 +270,7 @@ class NodeStatus:
         return dict(zip(joints, values, strict=True)) if len(joints) == len(values) else {}
 
     def problems(self) -> tuple[Problem, ...]:
-        """Return the problems of all parts whose level is not OK, with errors first."""
+        """Return the problems of all parts, with errors first."""
         found = [
             (-part.level, Problem(name, part.level.name, part.message))
             for name, part in self.parts().items()
@@ -300,7 +300,7 @@ class SimulatedTime(NamedTuple):
     time: float
     """Simulated time [s]; 0 if none has arrived."""
     unchanged_for: float
-    """Time since the simulated time last changed, measured by the steady clock [s]."""
+    """Steady time since the last change of the simulated time [s]."""
     publishers: int
     """Number of publishers of /clock."""
 
@@ -329,9 +329,9 @@ class GraphInfo(NamedTuple):
     simulated: SimulatedTime | None = None
     """None unless the node uses simulated time."""
     is_dry_run: bool = False
-    """Whether a dry run keeps the commands from being sent."""
+    """Whether a dry run is active, so that no commands are sent."""
     silence: float = 0.0
-    """Time since the last message about any joint on joint_states [s]."""
+    """Time since the last report of any joint on joint_states [s]."""
     state_rate: float = 0.0
     """Rate at which all commanded joints were updated since the last report [Hz]."""
     topics: Topics = Topics()

@@ -1,5 +1,5 @@
 """
-Describes the status of the node: what the node does and why, and which problems it has.
+Describes the activity and the problems of the node.
 
 A function named ``judge_...`` returns the level and the message of one part of `NodeStatus`.
 """
@@ -19,16 +19,16 @@ from .supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 
 _LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
-_SLOW = 0.95  # fraction of the requested rate below which the loop is too slow
-_DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered
-_DELAY = 0.005  # [s]; delay from measurement to effort, typical of 200 joint states per second
-_PAUSE = 5.0  # [s]; simulated time that stands still for longer is reported
+_SLOW = 0.95  # the loop is too slow below this fraction of the requested rate
+_DISCOVERY = 1.0  # [s]; the discovery of a publisher may take this long
+_DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
+_PAUSE = 5.0  # [s]; a longer standstill of simulated time is reported
 
 Judgement = tuple[Level, str]
 
 
 def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
-    """Describe what the active control loop does, and why; the time is in [s]."""
+    """Describe what the active control loop does and why; ``now`` is in [s]."""
     doing = _computing(loop)
     if not doing:
         doing = f'{_consequence(loop, is_dry_run)}: {_reason_to_stop(now, loop)}'
@@ -36,7 +36,7 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
 
 
 def _computing(loop: ControlLoop) -> str:
-    """Describe the computation of efforts, or the wait for its inputs; otherwise return ''."""
+    """Describe the phase if the loop computes or waits; return '' in other phases."""
     phase, settings = loop.controller.phase, loop.controller.settings
     doing = str(phase.value).partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
@@ -138,10 +138,10 @@ def describe_silence(around: GraphInfo) -> str:
 
 def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
     """
-    Describe how the IMU frame contradicts the robot description; return '' if both agree.
+    Describe a contradiction between the IMU frame and the robot description, or return ''.
 
-    ``frame`` is the ``frame_id`` of the messages, and need not be a link. ``R_BS`` is the
-    configured rotation from this frame to the frame of the base link, shape (3, 3).
+    ``frame`` is the ``frame_id`` of the messages, which need not be a link. ``R_BS`` is the
+    configured rotation from this frame to the base frame, shape (3, 3).
 
     """
     robot = loop.robot
@@ -187,7 +187,7 @@ def describe_light_joints(loop: ControlLoop) -> str:
         for k, joint in enumerate(loop.controller.joints)
         if is_light[k]
     ]
-    advice = ['lower these gains for such a joint, or set armature to the inertia of its rotor']
+    advice = ['lower these gains, or set armature to the inertia of the rotor']
     return '; '.join(texts + advice * bool(texts))
 
 
@@ -266,7 +266,7 @@ def judge_efforts(
         message = 'the commands have no subscribers'
         if around.others.subscribers:
             names = join_names(around.others.subscribers)
-            message += f' that match: {names} subscribes with another type or quality of service'
+            message += f' that match; other type or quality of service: {names}'
         return Level.WARN, message
     if clamped:
         return Level.WARN, f'effort cut to its limit: {", ".join(clamped)}'
@@ -282,7 +282,8 @@ def judge_model(now: float, loop: ControlLoop) -> Judgement:
         return Level.ERROR, unknown
     warnings = loop.robot.warnings
     if warnings:
-        return Level.WARN, f'{len(warnings)} warnings about the robot description'
+        number = '1 warning' if len(warnings) == 1 else f'{len(warnings)} warnings'
+        return Level.WARN, f'{number} about the robot description'
     return Level.OK, f"robot '{loop.robot.name}'"
 
 

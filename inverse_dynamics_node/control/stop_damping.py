@@ -1,7 +1,7 @@
 """
 Damps the motion during a stop, so that an arm without brakes sinks slowly.
 
-This module uses neither ROS nor a clock. The times are arguments.
+This module uses neither ROS nor a clock. Callers pass the times.
 """
 
 from __future__ import annotations
@@ -22,31 +22,30 @@ AT_REST = 'the arm is at rest'
 """The usual reason why the damping ends."""
 # An arm that moves less than this distance within this time is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
-# Velocities contradict positions if the change of position and the integral of the velocity differ
-# by more than a constant plus a fraction of the larger value. One value may be twice the other,
-# for example when late messages arrive together. Changes older than about a second are forgotten,
-# so that noise does not add up. In simulation (UR10, Panda, an arm with a gripper; 200 and 1000
-# Hz; delay 5 ms; noise 0.01 rad/s), the constant must be at least 0.003 for a stop from rest, and
-# 0.015 for a stop from up to 2 rad/s. At 2 rad/s, a wrong sign is detected within 0.02 s. After a
-# stop from rest, a wrong sign is detected within 0.12 s: the tip then moves at 0.18 m/s instead of
-# 0.15 m/s.
+# Velocities contradict positions if the integral of the velocity differs from the change of
+# position. The permitted difference is a constant plus a fraction of the larger value. The
+# fraction permits late messages that arrive together. Changes older than about a second are
+# forgotten, so that noise does not add up. In simulations, the constant had to be at least 0.003
+# for a stop from rest, and 0.015 for a stop from up to 2 rad/s. The simulations had a delay of 5
+# ms and a noise of 0.01 rad/s. A wrong sign was detected within 0.02 s at 2 rad/s, and within 0.12
+# s after a stop from rest.
 _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
 class StopDamping:
     """
-    Damps the motion of the commanded joints during a stop ramp, and afterwards until rest.
+    Damps the motion of the commanded joints from the start of a stop ramp until rest.
 
-    The damping effort is ``-r D M(q) qd``, with the mass matrix M of the commanded joints. Without
-    gravity, each velocity would decay at the rate D. With gravity, the arm sinks at the speed at
-    which damping and gravity balance. The factor r rises from 0 to 1 over the stop ramp. The
-    damping ends when the arm is at rest, or after a timeout.
+    The damping effort is ``-r D M(q) qd``, with the mass matrix M of the commanded joints. D is
+    the setting ``stop_damping``. Without gravity, each velocity would decay at the rate D. With
+    gravity, the arm sinks at the speed at which damping balances gravity. The factor r rises from
+    0 to 1 over the stop ramp. The damping ends when the arm is at rest, or after a timeout.
 
-    The damping never drives the arm. Its power is never positive, and all efforts computed from
+    The damping never drives the arm. The power of the damping is never positive. All efforts for
     one joint state together remove less than the measured velocity. The damping ends at once when
-    joint states are lost or velocities contradict positions. Otherwise, a velocity with the wrong
-    sign would make the damping drive the joint.
+    joint states are lost. The damping also ends when velocities contradict positions, because a
+    velocity with the wrong sign would drive the joint.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
@@ -60,8 +59,8 @@ class StopDamping:
         self.report = ''
         """Reason why the damping has ended; cleared by the reader."""
         self._scale = self.limits = np.zeros(len(index))
-        self._longest = 0.0  # [s]; the longest of the last intervals between commands
-        self._passed = -1.0  # [s] since the first command of the stop; negative before it
+        self._longest = 0.0  # [s]; longest recent interval between commands
+        self._passed = -1.0  # [s] since the first command of the stop; at first negative
         self._q = self._qd = self._times = np.zeros(len(index))
         self._rest_since = 0.0  # [s]
         self._rest = self._way = self._integral = self._q
@@ -70,9 +69,9 @@ class StopDamping:
         """
         Damp the motion from the next command on, if ``settings.stop_damping`` is positive.
 
-        ``scale`` contains the factors that convert efforts into commands. ``limits`` contains the
-        largest commands. Both arrays have shape (m,). Later changes of the settings, scale and
-        limits have no effect on this stop.
+        ``scale`` contains the factors that convert efforts into commands, shape (m,). ``limits``
+        contains the largest commands, shape (m,) [N m or N]. Later changes of the arguments do not
+        affect this stop.
 
         """
         self._scale, self.limits, self._longest = scale, limits, 0.0
@@ -95,9 +94,8 @@ class StopDamping:
         """
         Compute the efforts to add to the stop ramp; None if the motion is not damped.
 
-        ``step`` is the time by which ramps advance with this command. ``since`` is the time since
-        the last command. All times are in [s]. The result, shape (m,) [N m or N], is scaled but
-        not limited.
+        ``step`` is the time step of ramps. ``since`` is the time since the last command. All times
+        are in [s]. The result, shape (m,) [N m or N], is scaled but not limited.
 
         """
         if not self.is_active:
@@ -120,7 +118,7 @@ class StopDamping:
         return self._damp(state, factor * self._rate(now - state.time, since))
 
     def _track(self, now: float, state: State | None, is_first: bool) -> str:
-        """Follow positions and velocities; return why they are unusable, or an empty text."""
+        """Compare positions and velocities; return a problem, or an empty text."""
         timeout = self._settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
             return 'the joint states are lost or contradictory'
@@ -151,12 +149,13 @@ class StopDamping:
 
     def _rate(self, age: float, since: float) -> float:
         """
-        Return the rate of decay [1/s], given the age of the state and the command interval [s].
+        Return the rate of decay [1/s].
 
-        A command acts until the next command, but is based on an older velocity. The rate falls
-        with the square of the age, so that all commands for one state together remove less than
-        the measured velocity. Commands may be sent in bursts, for example after messages from two
-        drivers. The longest of the recent intervals therefore determines the rate.
+        ``age`` is the age of the state, and ``since`` is the time since the last command [s]. A
+        command acts until the next command, but is based on an older velocity. The rate falls with
+        the square of the age, so that all commands for one state together remove less than the
+        measured velocity. The longest recent interval determines the rate, because commands may be
+        sent in bursts.
 
         """
         self._longest = since = max(since, 0.98 * self._longest)

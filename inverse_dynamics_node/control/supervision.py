@@ -1,7 +1,7 @@
 """
-Supervises the control loop: phases, lost joint states and dry runs.
+Decides whether efforts may be computed and sent.
 
-This module uses neither ROS nor a clock. The times are arguments.
+This module uses neither ROS nor a clock. Callers pass the times.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .command_shaping import StopRamp
 from .joint_states import State
 
 _LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
-_TOLERATED_DROP = 0.05  # if a loss lowers the gain by at most this, the next state ends the loss
+_TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the next state
 _ZEROS_TIME = 0.5  # [s]; zeros are sent for this long after the ramp, because messages may be lost
 
 
@@ -46,11 +46,11 @@ class _Sent(enum.Enum):
 
 class DryRun:
     """
-    Decides which efforts are sent: the computed efforts, or no efforts during a dry run.
+    Selects the efforts to send, during normal operation and during dry runs.
 
-    A receiver holds the last command forever. At the start of a dry run, the commands therefore
-    fall to zero over the stop ramp. Zeros follow for half a second. After that, nothing is sent,
-    so that another node may command the robot. The computed efforts are not affected.
+    At the start of a dry run, the commands fall to zero over the stop ramp, because a receiver
+    holds the last command forever. Zeros follow for half a second. Then nothing is sent, so that
+    another node may command the robot. The computed efforts are not affected.
 
     """
 
@@ -71,7 +71,7 @@ class DryRun:
 
     @property
     def has_effort(self) -> bool:
-        """Whether any of the efforts that were sent last is nonzero."""
+        """Whether the last command that was sent contains a nonzero effort."""
         return self._last is not None and bool(self._last.any())
 
     @property
@@ -80,15 +80,14 @@ class DryRun:
         return self._last is not None
 
     def end(self) -> None:
-        """Send the computed efforts from now on; the caller must let them rise from zero."""
+        """End the dry run; the caller must let the computed efforts rise from zero."""
         self._sent = _Sent.COMPUTED
 
     def begin(self, time_to_fall: float) -> None:
         """
-        Start a dry run: the commands fall to zero, then nothing is sent.
+        Start a dry run, in which the commands first fall to zero.
 
-        ``time_to_fall`` is the time until the commands are zero [s], even for commands that are
-        already falling.
+        ``time_to_fall`` is the time until the commands are zero [s].
 
         """
         if self._last is None:
@@ -101,7 +100,7 @@ class DryRun:
         """
         Return the efforts to send, shape (m,) [N m or N]; None if nothing is sent.
 
-        Ramps advance by ``elapsed`` [s]; see `RampClock`.
+        ``elapsed`` is the time step of ramps [s]; see `RampClock`.
 
         """
         if self._sent is _Sent.COMPUTED:
@@ -117,12 +116,12 @@ class DryRun:
 
 class StateSupervisor:
     """
-    Decides whether efforts may be computed, and whether they are sent.
+    Decides whether efforts may be computed.
 
     No efforts are computed before the first complete joint state, while joint states are lost, or
-    while the controller is stopped. Joint states are regarded as lost while the latest state is
-    too old or inconsistent, and for a recovery time afterwards. Without the recovery time,
-    intermittent states would shake the arm by raising and lowering the efforts repeatedly.
+    while the controller is stopped. Joint states are lost while the latest state is too old or
+    inconsistent, and for a recovery time afterwards. Without the recovery time, intermittent
+    states would shake the arm.
 
     """
 
@@ -144,10 +143,10 @@ class StateSupervisor:
         self, now: float, state: State | None, timeout: float, gain: float
     ) -> Phase | None:
         """
-        Return the phase that prevents the computation of efforts; None if they may be computed.
+        Return the phase that prevents the computation of efforts, if any.
 
         A state is too old when its age exceeds ``timeout`` [s]. ``gain`` is the factor for the
-        computed efforts, from 0 to 1. While states are lost, this factor may fall.
+        computed efforts, from 0 to 1.
 
         """
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
@@ -157,7 +156,7 @@ class StateSupervisor:
         return Phase.STATE_LOST if self._is_lost(now, state, timeout, gain) else None
 
     def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
-        """Return whether states are lost, or newer than ``now`` because the clock was set back."""
+        """Return whether joint states are lost, or newer than ``now`` after a clock jump."""
         was_lost = self.phase is Phase.STATE_LOST
         if state is None:
             # A joint of a new robot description was never reported. The first state ends the loss.
@@ -176,7 +175,7 @@ class StateSupervisor:
             return False
         drop = max(0.0, self._lost_gain - gain)
         if drop <= self._tolerated_drop:
-            # Losses in quick succession add up, although each may be too short to matter.
+            # Drops add up, so that many short losses also need a recovery time.
             self._tolerated_drop -= drop
             return False
         return state.time - self._fresh_since < recovery_time(timeout)

@@ -14,7 +14,7 @@ from .batch import LANES
 from .jit import IS_COMPILED, OK
 
 Computation = Callable[[Sequence[Floats], Floats], int]
-"""Function that takes arguments and an array for the results, and returns a status."""
+"""Function of the arguments and an array for the results; returns a status."""
 
 
 def over_states(
@@ -28,11 +28,11 @@ def over_states(
     """
     Compute a quantity for one or more states; return an array of shape (..., *kind).
 
-    Each of the ``arguments``, such as ``q``, is of any type that numpy can convert. ``kind`` is
-    the shape of the result for one state. ``few`` computes the quantity for N states of n joints,
-    from arguments of shape (N, n). ``many`` is faster if N is at least `batch.LANES`, but numba
-    may have to compile ``many`` first. The result is written to ``out`` if ``out`` is given. Wrong
-    shapes and non-finite values raise a JointStateError.
+    The ``arguments``, such as ``q``, may have any type that numpy can convert. ``kind`` is the
+    shape of the result for one state. ``few`` computes the quantity for N states of n joints, from
+    arguments of shape (N, n). ``many`` does the same, and is called if N is at least
+    `batch.LANES`. If ``out`` is given, the result is written to ``out``. Wrong shapes and
+    non-finite values raise a JointStateError.
 
     """
     rows, shape = broadcast(len(robot.joint_names), **arguments)
@@ -52,7 +52,7 @@ def over_states(
 
 
 def one_by_one(one: Computation) -> Computation:
-    """Turn the computation of one state into a computation of several states."""
+    """Return a computation of several states that calls ``one`` for each state."""
 
     def few(rows: Sequence[Floats], results: Floats) -> int:
         states = zip(zip(*rows, strict=True), results, strict=True)
@@ -62,7 +62,7 @@ def one_by_one(one: Computation) -> Computation:
 
 
 def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
-    """Convert values to a float64 array whose last dimension has one number per joint."""
+    """Convert values to a float64 array of shape (..., n)."""
     try:
         found = np.asarray(values)
     except ValueError as error:
@@ -73,7 +73,7 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
     is_accepted = found.dtype == np.float64 and found.flags.carray
     vectors = found if is_accepted else np.require(found, np.float64, ['C', 'W'])
     if vectors.shape[-1:] != (n,):
-        raise JointStateError(f'{name} has shape {vectors.shape}, the robot has {n} joints')
+        raise JointStateError(f'{name} has shape {vectors.shape}, but the robot has {n} joints')
     return vectors
 
 
@@ -98,7 +98,7 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateError:
-    """Return an error about the first non-finite value, or raise one about a wrong shape."""
+    """Return an error about the first non-finite value; a wrong shape raises an error."""
     n = len(joint_names)
     for name, values in arguments.items():
         vectors = read_vectors(name, values, n)
@@ -109,7 +109,7 @@ def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateErr
             joint = joint_names[where[-1]]
             return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
     return JointStateError(
-        'the efforts overflow: a position, velocity or acceleration is finite, but too large'
+        'the result overflows because a position, velocity or acceleration is too large'
     )
 
 
@@ -119,7 +119,7 @@ def check_out(out: Floats, shape: tuple[int, ...]) -> None:
         kind = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
         raise JointStateError(f'out has type {kind}, expected a writable array of float64')
     if out.shape != shape:
-        raise JointStateError(f'out has shape {out.shape}, the result has {shape}')
+        raise JointStateError(f'out has shape {out.shape}, expected {shape}')
 
 
 def is_free(out: Floats, others: Sequence[Floats]) -> bool:
@@ -128,7 +128,7 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one number or n numbers to an array; refuse negative values unless ``is_signed``."""
+    """Convert one or n numbers to shape (n,); negative numbers require ``is_signed``."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
@@ -160,7 +160,7 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
         number, moments = float(mass), np.array(inertia, dtype=np.float64)
     except (TypeError, ValueError):
         raise ConfigurationError(
-            f'mass is {plain(mass)!r}, inertia is {plain(inertia)!r}, expected numbers'
+            f'mass is {plain(mass)!r} and inertia is {plain(inertia)!r}, expected numbers'
         ) from None
     if not (math.isfinite(number) and number >= 0.0):
         raise ConfigurationError(

@@ -1,10 +1,10 @@
 """
-Efforts and regressors of many states at once, computed with the functions of `equations`.
+Efforts and regressors of many states at once.
 
-States are processed in blocks, with one state in each lane of a block. Arrays have one row per
-body or joint. Component j of row i in lane k is ``rows[i, j * LANES + k]``. The compiler turns
-loops over the lanes into vector instructions. For this purpose, every step is a separate function,
-and every quantity, such as the motion of the bodies, has its own array.
+States are processed in blocks. A block has `LANES` lanes, and each lane contains one state. Arrays
+have one row per body or joint. Component j of row i in lane k is ``rows[i, j * LANES + k]``. The
+compiler turns loops over the lanes into vector instructions, if every step is a separate function
+and every quantity has its own array.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ from .robot_table import (
     vector,
 )
 
-LANES = 64  # states in a block; it is faster to compute fewer states one by one
+LANES = 64  # states in a block; fewer states are computed one by one
 CACHE_LINE = 8  # numbers in a cache line of the processor
 LARGEST_ANGLE = 1e5  # largest angle for `cosine_and_sine` [rad]
-ROUNDER = 1.5 * 2.0**52  # adding and then subtracting this number rounds to an integer
+ROUNDER = 1.5 * 2.0**52  # adding and subtracting this number rounds to an integer
 
 _FRAME = 12  # numbers per lane: axes x, y, z, and origin
 _TURNED = 18  # numbers per lane: axes x, y, z, and motion
@@ -77,8 +77,7 @@ def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, rob
     Compute the regressors of N >= `LANES` states; return `OK` or `NOT_FINITE`.
 
     ``matrices``, shape (N, n, 10 (b - 1)), receives the regressors for n joints and b bodies.
-    ``R_LZ``, shape (b, 9), contains the rotations from the frames of the table to the frames of
-    the parameters.
+    ``R_LZ``, shape (b, 9), contains the rotations from the frames of the table to the URDF frames.
 
     """
     return _compute(states, np.empty((len(matrices), 0)), matrices, R_LZ, robot)
@@ -101,7 +100,7 @@ def _compute(
 
 
 def _count_pairs(robot: Floats) -> int:
-    """Count all pairs of a link and a joint that moves this link."""
+    """Return the number of pairs of a link and a joint that moves the link."""
     depth = [0]
     for parent in robot[1:, PARENT].astype(int).tolist():
         depth.append(depth[parent] + 1)
@@ -119,7 +118,7 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute efforts block by block, or regressors if R_LZ is not empty. Columns are states."""
+    """Compute efforts or regressors block by block; the columns of the arguments are states."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)
@@ -166,12 +165,12 @@ def hold_base(robot: Any, motion: Any) -> None:
 def outward_pass(
     q: Any, qd: Any, qdd: Any, robot: Any, place: Any, motion: Any, wrench: Any
 ) -> None:
-    """Propagate the motion from base to tips, and compute each link's own force and moment."""
+    """Compute the motion and the `own_wrench` of every link, from base to tips."""
     for i in range(1, len(robot)):
         parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
         place_link(q, robot, i, joint, place)
-        # The compiler does not vectorise a loop that reads and writes the same array. Passing the
-        # motion twice makes the rows of link and parent look like two arrays.
+        # The compiler does not vectorise a loop that reads and writes the same array. Therefore,
+        # the motion is passed twice, once for the parent and once for the link.
         outward_step(qd, qdd, robot, i, joint, place, motion, parent, motion)
         if len(wrench) > 0:
             own_wrenches(robot, i, motion, wrench)
@@ -179,7 +178,7 @@ def outward_pass(
 
 @simd_step
 def inward_pass(q: Any, tau: Any, robot: Any, place: Any, wrench: Any) -> None:
-    """Propagate forces and moments from tips to base, and project them onto the joint axes."""
+    """Sum up the wrenches from tips to base, and project each wrench onto the joint axis."""
     for joint in range(len(tau)):
         for k in range(LANES):
             tau[joint, k] = spring_effort(robot[joint + 1], q[joint, k])
@@ -248,7 +247,7 @@ def outward_step(
 
 @simd_step
 def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
-    """Compute the force and moment that move a single link, minus the link's external load."""
+    """Compute the `own_wrench` of a link."""
     link = robot[i]
     for k in range(LANES):
         omega, omega_dot, accel = (
@@ -263,7 +262,7 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
 
 @simd_step
 def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parents: Any) -> None:
-    """Add a link's force and moment, in its parent's frame, to those of the parent."""
+    """Add the wrench of a link to the wrench of the parent."""
     R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
@@ -285,7 +284,7 @@ def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
 
 @simd_step
 def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
-    """Add rotor inertia and friction to each joint's effort; check that the effort is finite."""
+    """Add armature and friction to the joint efforts, and check that the efforts are finite."""
     for joint in range(len(tau)):
         armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
         if robot[joint + 1, COUPLING] != 0.0:
@@ -296,13 +295,13 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             friction = joint_friction(numbers, qd[joint, k], load)
             effort = load + armature * qdd[joint, k] + friction
             tau[joint, k] = effort
-            # The difference is 0 for finite numbers, otherwise NaN. The residue then stays NaN.
+            # Adds 0 if the number is finite, and NaN otherwise.
             residue[0, k] = residue[0, k] + (effort - effort)
 
 
 @simd_step
 def share_drive(qd: Any, qdd: Any, tau: Any, robot: Any, joint: int, residue: Any) -> None:
-    """Add rotor inertia and friction to the efforts of the two joints that turn the same drive."""
+    """Add the armature and friction of a coupled drive to the efforts of two joints."""
     armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
     ratio, before = coupling_of(robot[joint + 1])
     for k in range(LANES):
@@ -327,7 +326,7 @@ def regressor_pass(
     factors: Any,
     residue: Any,
 ) -> None:
-    """Compute a regressor block for every pair of a link and a joint that moves it."""
+    """Compute a regressor block for every pair of a link and a joint that moves the link."""
     hold_base_frame(frames)
     pair = 0
     for i in range(1, len(robot)):
@@ -362,7 +361,7 @@ def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames
 
 @simd_step
 def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
-    """Rotate the axes and the motion of a link into the frame of its parameters."""
+    """Rotate the axes and the motion of a link into the URDF frame of the link."""
     R = rotation(R_LZ[i])
     for k in range(LANES):
         own = lane(motion, i, 0, k), lane(motion, i, 3, k), lane(motion, i, 6, k)
@@ -384,7 +383,7 @@ def compute_block(
     pair: int,
     residue: Any,
 ) -> None:
-    """Compute the effort at the joint of body ``mover`` per unit of each parameter of link i."""
+    """Compute the regressor block of link i and the joint of body ``mover``."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
         arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
@@ -397,14 +396,14 @@ def compute_block(
         store_lane(factors, pair, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
     for parameter in range(PARAMETERS):
         for k in range(LANES):
-            # The difference is 0 for finite numbers, otherwise NaN. The residue then stays NaN.
+            # Adds 0 if the number is finite, and NaN otherwise.
             factor = factors[pair, parameter * LANES + k]
             residue[0, k] = residue[0, k] + (factor - factor)
 
 
 @simd_step
 def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
-    """Write the regressors of only a few states at a time, to use the processor's cache."""
+    """Write the regressors of a few states at a time, so that the data fit into the cache."""
     for first in range(0, LANES, CACHE_LINE):
         last = first + CACHE_LINE
         for k in range(first, last):
@@ -418,7 +417,7 @@ def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
                 row, start = int(robot[mover, JOINT]), PARAMETERS * (i - 1)
                 for k in range(first, last):
                     for j in range(PARAMETERS):
-                        # A mimic joint adds to the row of its master.
+                        # A mimic joint contributes to the row of its master joint.
                         entry = matrices[k, row, start + j] + factors[pair, j * LANES + k]
                         matrices[k, row, start + j] = entry
                 mover = int(robot[mover, PARENT])
@@ -461,13 +460,13 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     """
     Return cosine and sine; the error is at most 2 units in the last place.
 
-    There are no branches, so that the compiler can vectorise loops that call this function.
-    Quarter turns are subtracted until the size of the angle is at most pi/4. In this range, the
-    minimax polynomials (Remez' algorithm) have an error of 4e-18 before rounding.
+    The function has no branches, so that the compiler can vectorise loops over the lanes. The
+    nearest number of quarter turns is subtracted first. The rest is at most pi/4 in size, where
+    the minimax polynomials have an error of 4e-18 before rounding.
 
     """
     quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
-    # pi/2 is split into parts of 33, 33 and 53 bits, so that the first two products are exact.
+    # pi/2 is split into 33, 33 and 53 bits, so that the first two products are exact.
     near = x - quarters * 1.5707963267341256
     second = quarters * 6.077100506303966e-11
     r = near - second
@@ -482,7 +481,7 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     c = 2.4801587289487012e-05 + z * (-2.7557314353789556e-07 + z * c)
     c = 0.0416666666666666 + z * (-0.0013888888888874131 + z * c)
     c = 1.0 - (0.5 * z - z * z * c)
-    # ``quarter`` is between -2 and 2; both -2 and 2 mean half a turn.
+    # ``quarter`` is between -2 and 2, where -2 and 2 are the same half turn.
     quarter = quarters - 4.0 * ((quarters * 0.25 + ROUNDER) - ROUNDER)
     odd, opposite = abs(quarter) == 1.0, abs(quarter) == 2.0
     cosine, sine = (s, c) if odd else (c, s)

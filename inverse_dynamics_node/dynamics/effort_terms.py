@@ -1,4 +1,4 @@
-"""The joint efforts term by term, and the force and moment at every joint."""
+"""Joint efforts term by term, and the force and moment at every joint."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from .robot_table import (
 
 
 class EffortTerms(NamedTuple):
-    """Terms of n joint efforts, each of shape (..., n) [N m or N]; the sum is the total effort."""
+    """Five terms of n joint efforts, each of shape (..., n) [N m or N]."""
 
     inertial: Floats
     """Efforts M(q) qdd due to the joint accelerations; M includes armature."""
     coriolis: Floats
-    """Coriolis and centrifugal efforts C(q, qd) qd; C includes effects of a rotating base."""
+    """Coriolis and centrifugal efforts C(q, qd) qd; C includes the rotation of the base."""
     gravity: Floats
     """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
@@ -68,9 +68,9 @@ def effort_terms(
     Compute the five terms of the efforts of n joints, in the order of `EffortTerms`.
 
     The arguments ``inertial`` to ``external`` are the tables of `term_tables`. ``state`` is
-    scratch space of 4 rows of n numbers; the last row must be zero. ``terms`` receives 5 rows of n
-    numbers, and may share memory with q, qd and qdd. The other arguments and the status are as
-    in `newton_euler.inverse_dynamics`.
+    scratch memory with 4 rows of n numbers. The last row of ``state`` must be zero. ``terms``
+    receives 5 rows of n numbers, and may share memory with q, qd and qdd. The other arguments and
+    the status are as in `newton_euler.inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -84,7 +84,7 @@ def effort_terms(
     status = inverse_dynamics(q, rest, qdd, terms[0], inertial)
     status = max(status, inverse_dynamics(q, qd, rest, terms[1], coriolis))
     if any_of(vector(gravity[0], OMEGA)) or any_of(vector(gravity[0], OMEGA_DOT)):
-        # The gravity term contains the efforts that are due to the rotation of the base alone.
+        # Efforts due to the rotation of the base alone belong to the gravity term.
         status = max(status, inverse_dynamics(q, rest, rest, terms[2], coriolis))
         for joint in range(n):
             terms[1][joint] -= terms[2][joint]
@@ -175,7 +175,7 @@ _ABSENT: dict[str, tuple[int | slice, ...]] = {
 
 
 class TermTables(NamedTuple):
-    """Four robot tables for `effort_terms`; each table yields only one term of the efforts."""
+    """Four robot tables for `effort_terms`, one table for each term."""
 
     inertial: Floats
     coriolis: Floats
@@ -184,7 +184,7 @@ class TermTables(NamedTuple):
 
 
 def term_tables(table: Floats) -> TermTables:
-    """Make one table per term from ``table``, which contains the robot and its loads."""
+    """Copy a robot table for each term, and set the columns in `_ABSENT` to zero."""
     tables = TermTables(*(table.copy() for _ in _ABSENT))
     for term, columns in _ABSENT.items():
         for part in columns:
@@ -196,9 +196,9 @@ class JointWrenches(NamedTuple):
     """
     Force and moment at the joints of b bodies, each of shape (..., b, 3).
 
-    The rows are in the order of ``robot.body_names``. Each row describes the wrench that the
-    parent of a body exerts on this body. The URDF frame of the joint defines the axes and the
-    reference point. The first row describes the wrench that the mount exerts on the base.
+    Each row is the wrench that the parent of a body exerts on the body. The rows are in the order
+    of ``robot.body_names``. The axes and the reference point are those of the joint's URDF frame.
+    The first row is the wrench that the mount exerts on the base.
 
     """
 
@@ -222,9 +222,9 @@ def joint_wrenches(
     Compute the force and moment that every body receives from its parent, LWP (45), (46).
 
     ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench that the
-    mount exerts on the base. ``R_LZ`` contains 9 numbers for each body: the rotation from the
-    body's frame in the table to the frame of its wrench. The other arguments and the status are as
-    in `newton_euler.inverse_dynamics`, but tau does not include armature, friction or springs.
+    mount exerts on the base. ``R_LZ`` is as in `regressor.regressor`. ``tau`` receives the efforts
+    without armature, friction and springs. The other arguments and the status are as in
+    `newton_euler.inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])

@@ -7,7 +7,7 @@ The paper is cited as LWP, with its equation numbers:
     for computer control", IFAC, 1979, 165-172.
 
 =============  ================================================================  ============
-name here      meaning, in coordinates of the link's own frame                   unit
+name           meaning, in link coordinates                                      unit
 =============  ================================================================  ============
 omega          angular velocity of the link                                      rad/s
 omega_dot      angular acceleration of the link                                  rad/s^2
@@ -15,34 +15,32 @@ accel          acceleration of the link's origin, minus gravity                 
 accel_com      acceleration of the link's centre of mass, minus gravity          m/s^2
 force_net      resultant force on the link                                       N
 moment_net     resultant moment on the link, about its centre of mass            N m
-force          force that the parent exerts on the link                          N
+force          force of the parent on the link                                   N
 moment         moment of the parent on the link, about the origin of the link    N m
 =============  ================================================================  ============
 
 The outward pass, from base to tips, evaluates (36), (37), (40), (44), (41) and (42), in this
 order. The inward pass evaluates (45), (46) and (47).
 
-Three equations of the paper are not needed. (38) is the angular acceleration in base coordinates;
-(37) gives it in link coordinates. (39) is the linear velocity, on which no force depends. (43) is
-the effort in base coordinates; (47) gives it in link coordinates.
+Three equations of the paper are not needed. Equations (38) and (43) are the angular acceleration
+and the effort in base coordinates. Equations (37) and (47) are the same in link coordinates.
+Equation (39) is the linear velocity, on which no force depends.
 
-Gravity is not a separate term. The base has the acceleration -g (31), which every link inherits.
+Gravity is not a separate term, because the base has the acceleration -g (31).
 
-A URDF and the paper define frames differently. In the paper's Denavit-Hartenberg frames, the
-axis of joint i + 1 is z of frame i. Here joint i turns about, or slides along, z of link i's own
-frame. The offset p from the parent's origin is therefore constant in the parent's frame, but a
-sliding joint adds its position along the axis. Moments are about the link's own origin. Terms with
-z are added after the parent's motion has been rotated into the link's frame.
+The frames are those of a URDF. In the Denavit-Hartenberg frames of the paper, joint i + 1 moves
+about or along z of frame i. Here joint i moves about or along z of the frame of link i. The offset
+p from the parent's origin is therefore constant in the parent's frame, except that a translational
+joint adds a distance along the axis. Moments are about the origin of the link. Terms with z are
+added after the rotation into the link's frame.
 
-Every joint has two rates here, ``turn`` about z and ``slide`` along z. One of them is zero. An
-equation of the paper with separate cases for rotational and translational joints is therefore a
-single expression.
+Every joint has a rate ``turn`` about z and a rate ``slide`` along z, and one rate is zero. The
+paper's separate cases for rotational and translational joints are therefore one expression.
 
-`recursion` at the end of the file evaluates these equations from link to link, as in the paper.
-Tests compare the compiled passes of `newton_euler` with `recursion`.
+`recursion` evaluates the equations link by link, as in the paper. Tests compare the passes of
+`newton_euler` with `recursion`.
 
-Vectors are tuples. The functions therefore work for numbers (compiled or not), for lanes of
-numbers that the compiler vectorises, for numpy arrays of many states, and for the symbols of
+Vectors are tuples, so that a component may be a number, a numpy array, or a `RunTimeNumber` of
 `codegen`.
 """
 
@@ -61,7 +59,7 @@ Vector = tuple[Any, Any, Any]
 
 @simd_inline
 def angular_velocity(omega_P: Vector, turn: Any) -> Vector:
-    """(36): angular velocity R_LP omega_P + z turn; R_LP has already been applied to omega_P."""
+    """(36): angular velocity R_LP omega_P + z turn; the caller applies R_LP."""
     return omega_P[0], omega_P[1], omega_P[2] + turn
 
 
@@ -78,7 +76,7 @@ def point_acceleration(p: Vector, omega: Vector, omega_dot: Vector, accel: Vecto
     (40), (44): acceleration accel + omega_dot x p + omega x (omega x p) of a point p of a body.
 
     The origin of the body has the acceleration accel. In (44), p is the centre of mass. In (40), p
-    is the origin of the next link, and the terms with the joint's own rates are added later.
+    is the origin of the next link, and `sliding_acceleration` adds the terms of the joint.
 
     """
     return add(accel, add(cross(omega_dot, p), cross(omega, cross(omega, p))))
@@ -103,41 +101,40 @@ def net_moment(J: Any, omega: Vector, omega_dot: Vector) -> Vector:
     return add(symmetric(J, omega_dot), cross(omega, symmetric(J, omega)))
 
 
-# Inward pass. In a tree, the forces and moments of all children are added to those of the link.
+# Inward pass. The wrenches of all children are added to the wrench of the link.
 
 
 @simd_inline
 def child_force(R: Any, c: Any, s: Any, force: Vector) -> Vector:
-    """(45): force of a child, R_PL force, in the parent's frame. The link's own force is (41)."""
+    """(45): force of a child in the parent's frame, R_PL force."""
     return to_parent(R, c, s, force)
 
 
 @simd_inline
 def own_moment(com: Vector, force_net: Vector, moment_net: Vector) -> Vector:
-    """(46): moment of the link itself about its origin, moment_net + com x force_net."""
+    """(46): net moment on a link about the link's origin, moment_net + com x force_net."""
     return add(moment_net, cross(com, force_net))
 
 
 @simd_inline
 def child_moment(R: Any, c: Any, s: Any, p: Vector, force: Vector, moment: Vector) -> Vector:
-    """(46): moment of a child in the parent's frame, R_PL moment + p x force; (45) gives force."""
+    """(46): moment of a child in the parent's frame, R_PL moment + p x force; force is (45)."""
     return add(to_parent(R, c, s, moment), cross(p, force))
 
 
 @simd_inline
 def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
     """
-    (47): z . moment for a rotational joint, z . force for a translational one.
+    (47): z . moment for a rotational joint, z . force for a translational joint.
 
-    ``slides`` is 0 or 1. The function has no branch, so that the compiler can vectorise loops over
-    lanes.
+    ``slides`` is 0 or 1. The function has no branch, so that the compiler can vectorise loops.
 
     """
     return slides * force[2] + (1.0 - slides) * moment[2]
 
 
-# Frames. R is R_PL at joint position 0, row by row; c and s are the cosine and sine of the angle
-# by which the joint has turned from position 0.
+# Frames. R is R_PL at joint position 0, row by row. The cosine and sine of the joint angle are c
+# and s.
 
 
 @simd_inline
@@ -199,18 +196,18 @@ def symmetric(J: Any, v: Vector) -> Vector:
     )
 
 
-# The recursion. Only `newton_euler` includes loads, friction and mimic joints.
+# The recursion, without the loads, friction and mimic joints of `newton_euler`
 
 
 class Link(NamedTuple):
-    """A link in its own frame, with z along the axis of the joint that moves it."""
+    """A link in link coordinates; z is the axis of the joint."""
 
     R: Any  # R_PL at joint position 0, row by row
     p: Vector  # p_PL at joint position 0 [m]
     com: Vector  # [m]
     mass: float  # [kg]
     J: Any  # about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]
-    parent: int  # index of the parent, which comes before the link; -1 is the base
+    parent: int  # index of the parent, smaller than that of the link; -1 is the base
     slides: bool
 
 
@@ -224,7 +221,7 @@ def recursion(
     """Return the joint efforts of a tree on a base at rest: LWP (36)-(47)."""
     at_rest = 0.0, 0.0, 0.0
     n = len(links)
-    # The last element belongs to the base, because its index is -1.
+    # The base has the index -1, the last element.
     omega, omega_dot = [at_rest] * (n + 1), [at_rest] * (n + 1)
     accel = [subtract(at_rest, gravity)] * (n + 1)  # (31)
     force, moment = [at_rest] * (n + 1), [at_rest] * (n + 1)

@@ -36,20 +36,19 @@ from .effort_terms import EffortTerms, JointWrenches, TermTables
 from .jit import prepared
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
-"""Free-fall acceleration in a base frame with z upwards [m/s^2]; ISO 80000-3."""
+"""Standard gravity of ISO 80000-3, in a base frame with z upwards [m/s^2]."""
 
 FRICTION_WIDTH = 0.01
-"""Speed at which smoothed Coulomb friction has 76 % of its full value [rad/s or m/s]."""
+"""Speed at which smoothed Coulomb friction reaches 76 % of the full value [rad/s or m/s]."""
 
 
 class InverseDynamics:
     r"""
-    Inverse dynamics of one robot: joint accelerations in, joint efforts out.
+    Inverse dynamics of one robot.
 
-    One pass from the base to the tips and one pass back evaluate
-    :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)`, without computing M, C or g.
-    Armature, friction, payloads, external wrenches and base motion are set once, and apply to all
-    later calls.
+    `efforts` evaluates :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)` by the recursive
+    Newton-Euler algorithm, without computing M, C or g. Armature, friction, payloads, external
+    wrenches and base motion are set once, and apply to all later calls.
 
     Parameters
     ----------
@@ -61,19 +60,19 @@ class InverseDynamics:
     Raises
     ------
     ConfigurationError
-        If gravity is not three finite numbers.
+        If gravity is not a vector of three finite numbers.
 
     Attributes
     ----------
     robot : RobotModel
         The robot without loads.
     revision : int
-        Number that increases with every change of the loads.
+        Counter that increases with every call of a setter.
 
     Notes
     -----
     Creating the first object on a machine takes a few seconds, because code is compiled and cached
-    on disk. Each thread needs its own object, because an object contains scratch space.
+    on disk. Each thread needs its own object, because every object contains scratch memory.
 
     References
     ----------
@@ -106,7 +105,7 @@ class InverseDynamics:
         self._links: dict[str, Floats] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle only the robot and its loads; compiled functions would be much larger."""
+        """Pickle only the robot and its loads, because compiled functions are much larger."""
         loads = (self._table, self._base_motion, self._payloads, self._wrenches)
         return type(self), (self.robot, self._gravity), loads
 
@@ -123,7 +122,7 @@ class InverseDynamics:
 
     @property
     def table(self) -> Floats:
-        """Table of numbers with the robot and its loads, for internal use; do not modify it."""
+        """Internal table of the robot and its loads; do not modify the table."""
         return self._table
 
     @property
@@ -135,7 +134,7 @@ class InverseDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
         """
-        Compute the joint efforts that produce the joint accelerations.
+        Compute the joint efforts that produce given joint accelerations.
 
         Parameters
         ----------
@@ -149,7 +148,7 @@ class InverseDynamics:
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N], positive along the joint axis; ``out`` if it was given.
+            Joint efforts [N m or N], positive along the joint axis. A given ``out`` is returned.
 
         Raises
         ------
@@ -161,13 +160,13 @@ class InverseDynamics:
         The outward pass is LWP (36)-(44), and the inward pass is LWP (45)-(47). No memory is
         allocated if the arguments and ``out`` are float64 arrays.
 
-        Batches of at least 64 states are computed in blocks. Their results differ from those of
-        single states by rounding errors of less than 1e-12 of the largest effort. The first such
+        Batches of at least 64 states are computed in blocks. The results may differ from those of
+        single states by rounding errors of less than 1e-12 of the largest effort. The first large
         batch on a machine takes seconds, because code is compiled and cached on disk.
 
         """
         try:
-            # Checked first: numba takes as long to reject a batch as to compute 100 states.
+            # Checked first, because numba needs the time of 100 states to reject a batch.
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
                 # After a failure, the slower code below finds the cause.
@@ -191,7 +190,7 @@ class InverseDynamics:
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N]. They equal `efforts` at zero velocities and accelerations.
+            Joint efforts [N m or N], equal to `efforts` at zero velocities and accelerations.
 
         Raises
         ------
@@ -211,7 +210,7 @@ class InverseDynamics:
 
     def coriolis_efforts(self, q: ArrayLike, qd: ArrayLike, out: Floats | None = None) -> Floats:
         """
-        Compute C(q, qd) qd: the Coriolis and centrifugal efforts.
+        Compute the Coriolis and centrifugal efforts C(q, qd) qd.
 
         Parameters
         ----------
@@ -223,8 +222,8 @@ class InverseDynamics:
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N]. They include the Coriolis efforts due to the rotation of the
-            base, and are zero at zero velocities.
+            Joint efforts [N m or N], zero at zero velocities. The rotation of the base contributes
+            Coriolis efforts.
 
         Raises
         ------
@@ -255,8 +254,8 @@ class InverseDynamics:
         Returns
         -------
         mass_matrix : ndarray, shape (..., n, n)
-            Mass matrix, including payloads and armature [kg m^2, kg m or kg, depending on the
-            types of the joints]. The matrix is symmetric to the last bit.
+            Mass matrix, including payloads and armature [kg m^2, kg m or kg]. The matrix is
+            exactly symmetric.
 
         Raises
         ------
@@ -298,7 +297,8 @@ class InverseDynamics:
         Returns
         -------
         terms : EffortTerms
-            Named tuple of five arrays of shape (..., n) [N m or N]. Their sum equals `efforts`.
+            Named tuple of five arrays of shape (..., n) [N m or N]. The sum of the five arrays
+            equals `efforts`.
 
         Raises
         ------
@@ -350,9 +350,10 @@ class InverseDynamics:
 
         Notes
         -----
-        The equations are LWP (45) and (46). The moment about the axis of a revolute joint, or the
-        force along the axis of a prismatic joint, is the joint's effort without armature, friction
-        and springs, because these three act inside the joint.
+        The equations are LWP (45) and (46). The wrenches exclude armature, friction and springs,
+        which act inside the joint. For a robot without armature, friction, springs and mimic
+        joints, the moment about the axis of a revolute joint equals the joint effort. For a
+        prismatic joint, the force along the axis equals the joint effort.
 
         """
         shape = (len(self._R_LZ), 6)
@@ -391,9 +392,9 @@ class InverseDynamics:
         Returns
         -------
         pose : ndarray, shape (..., 4, 4)
-            Homogeneous matrix from the link's frame to the base frame, which is the frame of the
-            root link. ``pose[..., :3, :3]`` is the rotation, and ``pose[..., :3, 3]`` is the
-            position of the link's origin [m].
+            Homogeneous matrix from the link's frame to the frame of the root link. The rotation
+            is ``pose[..., :3, :3]``. The position of the link's origin is ``pose[..., :3, 3]``
+            [m].
 
         Raises
         ------
@@ -407,7 +408,7 @@ class InverseDynamics:
 
     def jacobian(self, q: ArrayLike, link: str, out: Floats | None = None) -> Floats:
         r"""
-        Compute the geometric Jacobian J of a link: :math:`J\,\dot q` is the velocity of the link.
+        Compute the geometric Jacobian J of a link.
 
         Parameters
         ----------
@@ -421,11 +422,10 @@ class InverseDynamics:
         Returns
         -------
         jacobian : ndarray, shape (..., 6, n)
-            Rows 0 to 2 give the velocity of the link's origin [m/s], and rows 3 to 5 the angular
-            velocity of the link [rad/s], per unit of joint velocity [rad/s or m/s]. Both
-            velocities are relative to the base and in base coordinates. The columns are in the
-            order of ``robot.joint_names``. The column of a joint that does not move the link is
-            zero.
+            Rows 0 to 2 of :math:`J\,\dot q` are the velocity of the link's origin [m/s]. Rows 3 to
+            5 are the angular velocity of the link [rad/s]. Velocities are relative to the base,
+            in base coordinates. The columns are in the order of ``robot.joint_names``. A joint
+            that does not move the link has a column of zeros.
 
         Raises
         ------
@@ -440,12 +440,13 @@ class InverseDynamics:
 
         Notes
         -----
-        The transpose of J maps a force, and a moment about the link's origin, to the joint efforts
-        that do the same work. Force and moment are in base coordinates. To exert this force and
-        moment on the world, a robot needs these efforts in addition to those of `efforts`.
-        `set_external_wrench` has the opposite sign: the world exerts its wrench, which is in the
-        link's frame. J does not include the motion of the base. A mimic joint adds to the column
-        of its master.
+        The transpose of J maps a wrench on the world to joint efforts that the robot needs in
+        addition to `efforts`. The wrench consists of a force, and a moment about the link's
+        origin, in base coordinates. The wrench of `set_external_wrench` has the opposite sign,
+        because the world exerts that wrench on the link. That wrench is in link coordinates.
+
+        J does not include the motion of the base. A mimic joint contributes to the column of its
+        master joint.
 
         """
         return self._of_link(self._jacobian, (6, len(self._zeros)), q, link, out)
@@ -467,10 +468,10 @@ class InverseDynamics:
         -------
         regressor : ndarray, shape (..., n, 10 (b - 1))
             Ten columns for each of the b - 1 moving bodies, in the order of
-            ``robot.body_names[1:]``. The columns belong to the mass [kg], the mass times centre of
-            mass (x, y, z) [kg m], and the inertia about the origin of the body's frame (xx, xy,
-            yy, xz, yz, zz) [kg m^2], as in Pinocchio. The frame of a body is the URDF frame of the
-            joint that moves it.
+            ``robot.body_names[1:]``. The order of the ten columns is that of Pinocchio: mass [kg],
+            mass times centre of mass (x, y, z) [kg m], and inertia about the origin of the body's
+            frame (xx, xy, yy, xz, yz, zz) [kg m^2]. The frame of a body is the URDF frame of the
+            joint that moves the body.
 
         Raises
         ------
@@ -483,12 +484,12 @@ class InverseDynamics:
 
         Notes
         -----
-        Links connected by fixed joints are one body. A body that a mimic joint moves has its own
-        columns, which contribute to the row of the mimicked joint. Y includes gravity and the
-        motion of the base. Y does not include armature, friction, springs or wrenches, because
-        their efforts do not depend on pi. Payloads change pi, but not Y.
+        Links connected by fixed joints are one body. A body on a mimic joint has its own columns,
+        and contributes to the row of the master joint. Y includes gravity and the motion of the
+        base. Y excludes armature, friction, springs and external wrenches, because the efforts of
+        these loads do not depend on pi. Payloads change pi, but not Y.
 
-        At the first call on a machine, code is compiled and cached on disk.
+        The first call on a machine takes longer, because code is compiled and cached on disk.
 
         """
         shape = self._regressor_shape
@@ -535,7 +536,7 @@ class InverseDynamics:
         Raises
         ------
         ConfigurationError
-            If gravity is not three finite numbers.
+            If gravity is not a vector of three finite numbers.
 
         """
         self._gravity = read_vector('gravity', gravity, 'm/s^2')
@@ -561,7 +562,7 @@ class InverseDynamics:
         Raises
         ------
         ConfigurationError
-            If an argument is not three finite numbers.
+            If an argument is not a vector of three finite numbers.
 
         """
         motion = [
@@ -627,7 +628,7 @@ class InverseDynamics:
         Raises
         ------
         ConfigurationError
-            If the link does not exist, or an argument is not three finite numbers.
+            If the link does not exist, or an argument is not a vector of three finite numbers.
 
         """
         k = self.robot.link_index(link)
@@ -647,33 +648,32 @@ class InverseDynamics:
         r"""
         Set friction: :math:`d\,v + (c + \eta\,|\tau_{load}| + s \sqrt{|v|}) \tanh(v / w)`.
 
-        Here v is the speed of the joint, or of its drive if the drive is coupled to another joint.
+        Here v is the velocity of the joint, or of the drive after `set_drive_coupling`.
 
         Parameters
         ----------
         damping : array_like, shape (n,) or ()
-            Viscous friction d [N m s/rad or N s/m]; None for that of the robot description.
+            Viscous friction d [N m s/rad or N s/m]; by default from the robot description.
         coulomb : array_like, shape (n,) or ()
-            Coulomb friction c [N m or N]; None for that of the robot description.
+            Coulomb friction c [N m or N]; by default from the robot description.
         width : array_like, shape (n,) or ()
-            Speed w over which Coulomb friction is smoothed [rad/s or m/s].
+            Speed w at which Coulomb friction reaches 76 % of the full value [rad/s or m/s].
         load_friction : array_like, shape (n,) or ()
-            Coulomb friction eta per unit of the effort that loads the gear [-].
+            Coulomb friction eta per unit of load on the gear [-].
         sqrt_damping : array_like, shape (n,) or ()
-            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]. Gears with
-            much grease have such friction at low speeds.
+            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]. Much grease
+            in a gear causes such friction at low speeds.
 
         Raises
         ------
         ConfigurationError
-            If a value is negative or not finite, or the width is zero.
+            If a value is negative or not finite, or a width is zero.
 
         Notes
         -----
-        The gear is loaded by the effort that moves and holds the links. This effort contains the
-        inertial, Coriolis, centrifugal and gravity efforts, and the efforts due to payloads,
-        springs, base motion and external wrenches. Armature and friction are not included.
-        Friction proportional to this effort is the usual model of losses in gears [1]_.
+        The load on the gear is the effort that moves and holds the links. The load includes
+        payloads, springs, base motion and external wrenches, but not armature and friction.
+        Friction proportional to the load is the usual model of losses in gears [1]_.
 
         References
         ----------
@@ -691,7 +691,7 @@ class InverseDynamics:
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
         per_load = read_joints('load_friction', load_friction, n)
         per_root = read_joints('sqrt_damping', sqrt_damping, n)
-        # All arguments have been checked: a call that fails changes nothing.
+        # A failing call changes nothing, because all arguments have been checked before.
         robot_table.write_friction(self._table, damping, coulomb, speeds, per_load, per_root)
         self.revision += 1
 
@@ -702,7 +702,7 @@ class InverseDynamics:
         Parameters
         ----------
         armature : array_like, shape (n,) or ()
-            Rotor inertia times the square of the gear ratio, for n joints [kg m^2 or kg].
+            Rotor inertia times the square of the gear ratio [kg m^2 or kg].
 
         Raises
         ------
@@ -716,17 +716,17 @@ class InverseDynamics:
 
     def set_drive_coupling(self, coupling: ArrayLike) -> None:
         r"""
-        Couple drives to the previous joints, as in wrists whose gear trains pass through a joint.
+        Set how far each drive turns with the previous joint.
 
-        The speed of the drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. The
-        effort due to friction and armature of this drive acts on joint k. The previous joint
-        receives :math:`g_k` times this effort.
+        Gear trains that pass through a wrist joint cause such a coupling. The velocity of the
+        drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. The effort due to friction
+        and armature of the drive acts on joint k. The previous joint receives :math:`g_k` times
+        the same effort.
 
         Parameters
         ----------
         coupling : array_like, shape (n,) or ()
-            Turns g of each drive per turn of the previous joint [-]; 0 for a drive that turns
-            only with its own joint.
+            Turns g of each drive per turn of the previous joint [-]; 0 means no coupling.
 
         Raises
         ------
@@ -739,13 +739,13 @@ class InverseDynamics:
         self.revision += 1
 
     def checked_coupling(self, coupling: ArrayLike) -> Floats:
-        """Check couplings as in `set_drive_coupling`; return them as an array of shape (n,)."""
+        """Convert couplings to shape (n,), with the checks of `set_drive_coupling`."""
         values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
         for k in np.flatnonzero(values):
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
                 raise ConfigurationError(
-                    f"coupling of joint '{self.robot.joint_names[k]}' is {values[k]}, expected 0: "
-                    'the joint has no previous joint'
+                    f"coupling of joint '{self.robot.joint_names[k]}' is {values[k]}, expected 0 "
+                    'because the joint has no previous joint'
                 )
         return values
 
@@ -753,13 +753,13 @@ class InverseDynamics:
         r"""
         Set springs or counterweights that add :math:`k\,(q - q_0)` to the joint efforts.
 
-        The efforts of springs are part of `gravity_efforts`, and of the term ``gravity`` of
-        `effort_terms`. A spring increases or reduces the load on the gear.
+        Spring efforts are part of `gravity_efforts`, of the term ``gravity`` of `effort_terms`,
+        and of the load on the gear.
 
         Parameters
         ----------
         stiffness : array_like, shape (n,) or ()
-            Stiffness k [N m/rad or N/m]; negative for springs that push the joint away from q_0.
+            Stiffness k [N m/rad or N/m]. A negative stiffness pushes the joint away from q_0.
         rest : array_like, shape (n,) or ()
             Joint position q_0 at which the spring exerts no effort [rad or m].
 
@@ -784,7 +784,7 @@ class InverseDynamics:
         qdd: ArrayLike,
         out: Floats | None = None,
     ) -> Floats:
-        """Compute the efforts from a given table; arrays of one state take a fast path."""
+        """Compute the efforts from a given table."""
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
@@ -809,7 +809,7 @@ class InverseDynamics:
         link: str,
         out: Floats | None,
     ) -> Floats:
-        """Compute the pose or Jacobian of a link with a function of `link_kinematics`."""
+        """Compute the pose or Jacobian of a link."""
         if link not in self._links:
             self._links[link] = link_kinematics.row_of_link(self.robot, self._R_ZL, link)
         row = self._links[link]
@@ -832,7 +832,7 @@ class InverseDynamics:
         return EffortTerms(*out)
 
     def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
-        """Compute the terms of many states, term by term."""
+        """Compute the terms of many states."""
         zeros, tables, terms = np.zeros(q.shape), self._term_tables(), EffortTerms(*out)
         self._efforts_in(tables.inertial, q, zeros, qdd, terms.inertial)
         self.coriolis_efforts(q, qd, terms.coriolis)
@@ -842,7 +842,7 @@ class InverseDynamics:
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
 
     def _term_tables(self) -> TermTables:
-        """Return the tables of `effort_terms`; make new ones if the loads have changed."""
+        """Return tables for `effort_terms` that contain the present loads."""
         revision, tables = self._terms
         if revision != self.revision:
             tables = effort_terms.term_tables(self._table)
@@ -850,7 +850,7 @@ class InverseDynamics:
         return tables
 
     def _rigid_body(self, body: int) -> RigidBody:
-        """Combine a body of the robot with the payloads on it."""
+        """Combine a body with its payloads."""
         robot = self.robot
         own = RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])
         return combine([own, *self._on_body(self._payloads, body)])
@@ -878,7 +878,7 @@ class InverseDynamics:
 
     @cached_property
     def _regressor(self) -> Callable[..., int]:
-        """The regressor function; it is compiled at first use, because few programs need it."""
+        """The regressor function, compiled at first use because few programs need a regressor."""
         return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Optional compilation with numba. A failing cache causes a warning instead of an error."""
+"""Optional compilation with numba; a failing cache causes a warning instead of an error."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ import numpy as np
 
 IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
-# Statuses that the compiled functions return
+# Return values of the compiled functions
 OK = 0
 WRONG_SIZE = 1
 NOT_FINITE = 2
 
-# The compiler may fuse a * b + c, divide by multiplying by the reciprocal, and ignore the sign of
-# zero. NaN stays NaN.
+# The compiler may fuse a * b + c, replace divisions by products with reciprocals, and ignore the
+# sign of zero. NaN stays NaN.
 FAST_MATH = {'contract', 'nsz', 'arcp'}
 
 Function = TypeVar('Function', bound=Callable[..., Any])
@@ -36,24 +36,24 @@ _has_warned = False
 
 
 def compiled(function: Function) -> Function:
-    """Mark a function for `compile_for`, and for a cache on disk; without numba, do nothing."""
+    """Prepare a function for `compile_for`, and for the cache on disk."""
     return _kept(function) if IS_COMPILED else function
 
 
 def simd_kernel(function: Function) -> Function:
-    """Mark a function of `batch` for `compile_for`, to run without the interpreter lock."""
+    """Prepare a function of `batch` for `compile_for`, without the global interpreter lock."""
     return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
 
 
 def simd_step(function: Function) -> Function:
-    """Mark a function that loops over lanes and is called by a `simd_kernel`."""
+    """Prepare a function that loops over lanes, for calls from a `simd_kernel`."""
     if not IS_COMPILED:
         return function
     return cast(Function, numba.njit(error_model='numpy', fastmath=FAST_MATH)(function))
 
 
 def simd_inline(function: Function) -> Function:
-    """Mark a function for inlining, because loops that call functions are not vectorised."""
+    """Prepare a function for inlining, because a loop that calls functions is not vectorised."""
     if not IS_COMPILED:
         return function
     options = {'error_model': 'numpy', 'fastmath': FAST_MATH, 'forceinline': True}
@@ -61,7 +61,7 @@ def simd_inline(function: Function) -> Function:
 
 
 def compile_for(function: Any, *signatures: str) -> None:
-    """Compile a function now, for fixed types; calls with other types raise a TypeError."""
+    """Compile a function for given types; calls with other types raise a TypeError."""
     if not IS_COMPILED or function in _ready:
         return
     with _compiling:
@@ -71,9 +71,9 @@ def compile_for(function: Any, *signatures: str) -> None:
             try:
                 function.compile(signature)
             except Exception as error:
-                # Possible causes: a full disk, or files that a power failure left incomplete.
+                # The disk may be full, or a power failure may have left incomplete files.
                 _warn(error)
-                # numba has no public way to drop a cache, or to replace a stamp as `_kept` does.
+                # numba has no public function that disables a cache.
                 for dispatcher in _cached:
                     dispatcher._cache = numba.core.caching.NullCache()
                 function.compile(signature)
@@ -83,11 +83,12 @@ def compile_for(function: Any, *signatures: str) -> None:
 
 def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., int]:
     """
-    Compile a function for contiguous float64 arrays; without numba, run it on lists of floats.
+    Compile a function for contiguous float64 arrays.
 
-    The function returns a status. Its second-to-last argument receives the results, and its last
-    argument is a table of `robot_table`. ``dimensions`` contains the number of dimensions of each
-    argument. Arguments of other types raise a TypeError.
+    Without numba, the function runs on lists of floats. The second-to-last argument of the
+    function receives the results, and the last argument is a table of `robot_table`. The function
+    returns a status. ``dimensions`` contains the number of dimensions of each argument. Arguments
+    of other types raise a TypeError.
 
     """
     if IS_COMPILED:
@@ -117,13 +118,13 @@ def _kept(function: Function, **options: Any) -> Function:
     try:
         dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
     except RuntimeError as error:
-        # No cache directory is writable, for example because a service without a home directory
-        # runs a package that root owns.
+        # No cache directory is writable, for example in a service without a home directory.
         _warn(error)
         dispatcher = numba.njit(error_model='numpy', **options)(function)
     else:
-        # numba discards cached code only if the function's own file has changed. The stamp of the
-        # folder also covers the files of the inlined equations.
+        # numba discards cached code only if the file of the function has changed. The stamp of the
+        # folder also covers the inlined functions of other files. numba has no public function
+        # that replaces a stamp.
         folder = Path(function.__code__.co_filename).parent
         dispatcher._cache._cache_file._source_stamp = _stamp(folder)
         _cached.append(dispatcher)
@@ -138,7 +139,7 @@ def _stamp(folder: Path) -> tuple[tuple[str, float, int], ...]:
 
 
 def _warn(error: Exception) -> None:
-    """Warn that compiled code is not kept, but only once: all functions have the same problem."""
+    """Warn that compiled code is not cached, at most once per process."""
     global _has_warned
     if not _has_warned:
         _has_warned = True

@@ -38,9 +38,9 @@ from .robot_table import (
 )
 
 Axes = tuple[Vector, Vector, Vector]
-"""Axes x, y, z of a frame."""
+"""Unit vectors x, y, z of a frame."""
 
-# Columns of the row of a link: its body, and its pose in the frame of the body
+# Columns of `row_of_link`: the body, and the pose of the link in the frame of the body
 BODY = 0
 ORIGIN = 1  # [m]
 AXES = 4  # nine columns: the axes x, y, z of the link, one after the other
@@ -61,12 +61,12 @@ def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 
     ``q`` contains the positions of n joints [rad or m]. ``link`` is a row of `row_of_link`.
     ``matrix`` receives 4 rows of 4 numbers. ``robot`` is a table of `robot_table`. The status is
-    `OK`, `NOT_FINITE` or `WRONG_SIZE`; after `WRONG_SIZE`, the matrix is unchanged.
+    `OK`, `NOT_FINITE` or `WRONG_SIZE`. After `WRONG_SIZE`, the matrix is unchanged.
 
     """
     if len(q) != int(robot[0][JOINT_COUNT]) or len(matrix) != 4 or len(matrix[0]) != 4:
         return WRONG_SIZE
-    if check(q) != OK:  # includes joints that do not move the link
+    if check(q) != OK:  # also checks joints that do not move the link
         return NOT_FINITE
     origin = place_bodies(q, link, robot)
     axes_of_body = axes(robot[int(link[BODY])])
@@ -85,14 +85,14 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
     Compute the geometric Jacobian of the origin of a link.
 
-    ``matrix`` receives three linear rows, and then three angular rows, of n numbers for n joints.
-    The other arguments and the status are as in `pose`.
+    ``matrix`` receives 6 rows of n numbers for n joints: three linear rows, and three angular
+    rows. The other arguments and the status are as in `pose`.
 
     """
     n = int(robot[0][JOINT_COUNT])
     if len(q) != n or len(matrix) != 6 or len(matrix[0]) != n:
         return WRONG_SIZE
-    if check(q) != OK:  # includes joints that do not move the link
+    if check(q) != OK:  # also checks joints that do not move the link
         return NOT_FINITE
     origin = place_bodies(q, link, robot)
     for i in range(6):
@@ -103,7 +103,7 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
         parent, joint, multiplier, slides = joint_of(robot[k])
         axis, arm = vector(robot[k], Z_AXIS), subtract(origin, vector(robot[k], POSITION))
         turned = cross(axis, arm)
-        for i in range(3):  # a mimic joint adds to the column of its master
+        for i in range(3):  # a mimic joint contributes to its master joint
             linear = axis[i] if slides != 0.0 else turned[i]
             matrix[i][joint] += multiplier * linear
             matrix[i + 3][joint] += multiplier * (1.0 - slides) * axis[i]

@@ -1,13 +1,13 @@
 """
 The mass matrix of one state, computed by the composite-rigid-body algorithm.
 
-From tips to base, each link is combined with all links that it carries into one rigid body. A unit
-acceleration of the link's joint requires a force and a moment on this body. The projections of
-the force and moment onto the axis of this joint, and onto the axis of every joint between the link
-and the base, are entries of the mass matrix.
+The composite body of a link is the link and all links that the link carries, as one rigid body. A
+unit acceleration of the link's joint requires a wrench on the composite body. The entries of the
+mass matrix are the projections of the wrench onto the axes of the joints from the link to the
+base.
 
-All vectors are in base coordinates, and moments are about the origin of the link. Bodies are
-therefore combined, and forces projected, without rotations from link to link.
+All vectors are in base coordinates, so that no rotations are necessary from link to link. Moments
+are about the origin of the link.
 
 References
 ----------
@@ -45,17 +45,17 @@ from .robot_table import (
 )
 
 Composite = tuple[Any, Vector, Any]
-"""A composite body: mass, mass times centre of mass, and inertia about the frame's origin."""
+"""Mass, mass times centre of mass, and inertia about the frame's origin, of a composite body."""
 
 
 @compiled
 def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     """
-    Compute the mass matrix of one state, symmetric to the last bit.
+    Compute the mass matrix of one state.
 
     ``q`` contains the positions of n joints [rad or m]. ``matrix`` receives n rows of n numbers.
-    ``robot`` is a table of `robot_table`. The status is `OK`, `NOT_FINITE` or `WRONG_SIZE`; after
-    `WRONG_SIZE`, the matrix is unchanged.
+    ``robot`` is a table of `robot_table`. The status is `OK`, `NOT_FINITE` or `WRONG_SIZE`. After
+    `WRONG_SIZE`, the matrix is unchanged. The matrix is exactly symmetric.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -64,7 +64,7 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     for i in range(n):
         for j in range(n):
             matrix[i][j] = 0.0
-        # A position that is not finite gives NaN here, even if no entry depends on the position.
+        # Adds NaN if the position is not finite, even if no entry depends on the position.
         matrix[i][i] = robot[i + 1][ARMATURE] + (q[i] - q[i])
         ratio, before = coupling_of(robot[i + 1])
         if ratio != 0.0:
@@ -115,8 +115,8 @@ def check_diagonal(matrix: Any) -> int:
     """
     Return `NOT_FINITE` if an entry of the matrix is not finite, otherwise `OK`.
 
-    Checking the diagonal is enough: no entry of a positive definite matrix is larger than the
-    largest entry of the diagonal.
+    Only the diagonal is checked, because the largest entry of a positive definite matrix is on the
+    diagonal.
 
     """
     for i in range(len(matrix)):
@@ -127,7 +127,7 @@ def check_diagonal(matrix: Any) -> int:
 
 @simd_inline
 def composite_of_link(link: Any) -> Composite:
-    """Return a link, without the links that it carries, as a composite body."""
+    """Return the mass, first moment and inertia of a single link."""
     mass, com = link[MASS], vector(link, COM)
     first = mass * com[0], mass * com[1], mass * com[2]
     return mass, first, about_origin(inertia(link), com, first)
@@ -149,10 +149,10 @@ def about_origin(J: Any, com: Vector, first: Vector) -> Any:
 
 @simd_inline
 def in_base_axes(axes: Axes, body: Composite) -> Composite:
-    """Express a composite body along the axes of the base, about the same origin."""
+    """Rotate a composite body from the axes of the link to the axes of the base."""
     mass, first, J = body
     x, y, z = axes
-    # The rows of the rotation, and the products of J with them
+    # Rows of the rotation matrix, and products of J with the rows
     a, b, c = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
     u, v, w = symmetric(J, a), symmetric(J, b), symmetric(J, c)
     rotated = dot(u, a), dot(u, b), dot(u, c), dot(v, b), dot(v, c), dot(w, c)
@@ -161,9 +161,9 @@ def in_base_axes(axes: Axes, body: Composite) -> Composite:
 
 @simd_inline
 def shifted(p: Vector, body: Composite) -> Composite:
-    """Express a composite body about a new point; p points from the new point to the old."""
+    """Move the origin of a composite body; p points from the new origin to the old origin."""
     mass, h, J = body
-    # The parallel-axis theorem, with h the first moment about the old origin
+    # Parallel-axis theorem; h is the first moment about the old origin.
     moved = h[0] + mass * p[0], h[1] + mass * p[1], h[2] + mass * p[2]
     x, y, z = p[0] * (h[0] + moved[0]), p[1] * (h[1] + moved[1]), p[2] * (h[2] + moved[2])
     about_point = (
@@ -179,7 +179,7 @@ def shifted(p: Vector, body: Composite) -> Composite:
 
 @simd_inline
 def combined(a: Composite, b: Composite) -> Composite:
-    """Combine two composite bodies, which are expressed in the same frame, into one."""
+    """Combine two composite bodies with the same frame."""
     J, K = a[2], b[2]
     inertia = J[0] + K[0], J[1] + K[1], J[2] + K[2], J[3] + K[3], J[4] + K[4], J[5] + K[5]
     return a[0] + b[0], add(a[1], b[1]), inertia
@@ -187,7 +187,7 @@ def combined(a: Composite, b: Composite) -> Composite:
 
 @simd_inline
 def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vector]:
-    """Return the force and moment on a body at rest for a unit acceleration of the joint."""
+    """Return the force and moment for a unit acceleration of the joint from rest."""
     mass, h, J = body
     if slides != 0.0:
         force = mass * axis[0], mass * axis[1], mass * axis[2]
@@ -197,13 +197,13 @@ def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vec
 
 @simd_inline
 def along(axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """(47) for any axis: joint effort due to a force, and a moment about the joint's origin."""
+    """(47) for any axis: effort due to a force, and a moment about the joint's origin."""
     return dot(axis, force) if slides != 0.0 else dot(axis, moment)
 
 
 @simd_inline
 def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """Return the joint effort due to a wrench about the point to which ``arm`` points."""
+    """Return the effort due to a wrench; ``arm`` points from the joint to the reference point."""
     if slides != 0.0:
         return dot(axis, force)
     return dot(axis, add(moment, cross(arm, force)))

@@ -1,9 +1,8 @@
 """
-The two passes of Luh, Walker and Paul for one state, composed of functions of `equations`.
+The two passes of Luh, Walker and Paul for one state.
 
-The functions are compiled if numba is installed; otherwise they run as Python code. The robot is a
-table with a row for each body and the columns of `robot_table`. The table is an array for numba,
-and a list of lists for Python.
+The functions are compiled if numba is installed. Otherwise, the functions run as Python code. The
+robot is a table of `robot_table`: an array for numba, and a list of lists for Python.
 """
 
 from __future__ import annotations
@@ -81,9 +80,8 @@ def inverse_dynamics(
     Compute the joint efforts that produce the joint accelerations, LWP (36)-(47).
 
     ``q``, ``qd`` and ``qdd`` contain the positions [rad or m], velocities and accelerations of n
-    joints. ``tau`` receives the n efforts [N m or N]. ``robot`` is a table of `robot_table`; its
-    row 0 contains the motion of the base. The status is `OK`, `NOT_FINITE` or `WRONG_SIZE`; after
-    `WRONG_SIZE`, tau is unchanged.
+    joints. ``tau`` receives the n efforts [N m or N]. ``robot`` is a table of `robot_table`. The
+    status is `OK`, `NOT_FINITE` or `WRONG_SIZE`. After `WRONG_SIZE`, tau is unchanged.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -132,9 +130,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
     Compute the joint efforts that hold the robot still on a base that does not rotate.
 
-    The efforts equal `inverse_dynamics` at zero velocities and accelerations. Every link then has
-    the acceleration of the base, expressed in the frame of the link. Arguments and status are as
-    in `inverse_dynamics`.
+    The efforts equal `inverse_dynamics` at zero velocities and accelerations, where every link has
+    the acceleration of the base. Arguments and status are as in `inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -153,7 +150,7 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
         store(link, FORCE, subtract(force_net, external_force))
         store(link, MOMENT, subtract(moment, external_moment))
     for joint in range(n):
-        # Without a spring, this effort is 0, or NaN if the position is not finite.
+        # The spring effort is NaN if the position is not finite, even without a spring.
         tau[joint] = spring_effort(robot[joint + 1], q[joint])
     inward_pass(tau, robot)
     return check(tau)
@@ -163,11 +160,11 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
 def outward_pass(
     q: Sequence[float], qd: Sequence[float], qdd: Sequence[float], robot: Any
 ) -> None:
-    """Propagate the motion from base to tips, and compute each link's own force and moment."""
+    """Compute the motion and the `own_wrench` of every link, from base to tips."""
     store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
-        # Called first: values that are read before the calls of sine and cosine are read again.
+        # Called first, because the compiler reads earlier values again after sine and cosine.
         c, s, length = place_link(link, q[int(link[JOINT])])
         parent, joint, multiplier, slides = joint_of(link)
         R, p = frame_of(link)
@@ -194,7 +191,7 @@ def outward_pass(
 def own_wrench(
     link: Any, omega: Vector, omega_dot: Vector, accel: Vector
 ) -> tuple[Vector, Vector]:
-    """Compute the force and moment that move a single link, minus the link's external load."""
+    """Return the net force and moment on a link, minus the external wrench."""
     mass, com, J = body_of(link)
     external_force, external_moment = load_of(link)
     accel_com = point_acceleration(com, omega, omega_dot, accel)  # (44)
@@ -206,7 +203,7 @@ def own_wrench(
 
 @compiled
 def inward_pass(tau: Any, robot: Any) -> None:
-    """Propagate forces and moments from tips to base, and add each joint's effort to tau."""
+    """Sum up the wrenches from tips to base, and add the joint efforts to tau."""
     for i in range(len(robot) - 1, 0, -1):
         link = robot[i]
         parent, joint, multiplier, slides = joint_of(link)
@@ -220,25 +217,24 @@ def inward_pass(tau: Any, robot: Any) -> None:
         moment_P = child_moment(R, c, s, p, force_P, moment)
         store(carrier, FORCE, add(vector(carrier, FORCE), force_P))  # (45)
         store(carrier, MOMENT, add(vector(carrier, MOMENT), moment_P))  # (46)
-        # By equal power, the effort of a mimic joint adds to the effort of its master.
+        # Power is conserved if a mimic joint adds multiplier * effort to its master joint.
         tau[joint] += multiplier * joint_effort(force, moment, slides)  # (47)
 
 
 @simd_inline
 def spring_effort(row: Any, position: Any) -> Any:
-    """Return the joint effort that balances the spring or counterweight at a joint."""
+    """Return the joint effort that balances the spring at a joint."""
     return row[STIFFNESS] * position + row[PRELOAD]
 
 
 @compiled
 def drive_terms(tau: Any, robot: Any) -> None:
     """
-    Add the rotor inertia and friction of each drive to the efforts of the inward pass.
+    Add the armature and friction of each drive to the efforts of the inward pass.
 
-    Friction is an internal pair of moments at one joint, and does not propagate to the joints
-    closer to the base. The authors published this form in 1980: tau = n . z + b qd. With LWP (22)
-    and (23) of 1979, friction would propagate. A drive that also turns with the previous joint
-    acts on both joints, with equal power.
+    Friction is an internal pair of moments at one joint, and does not propagate to the base. The
+    authors published the same form in 1980: tau = n . z + b qd. With LWP (22) and (23), friction
+    would propagate. The drive of a joint with coupling also acts on the previous joint.
 
     """
     for joint in range(len(tau)):
@@ -252,7 +248,7 @@ def drive_terms(tau: Any, robot: Any) -> None:
         effort = row[ARMATURE] * rate_dot + friction
         tau[joint] += effort
         if ratio != 0.0:
-            tau[before] += ratio * effort  # friction at `before` is done
+            tau[before] += ratio * effort  # friction of joint `before` is already included
 
 
 @simd_inline
@@ -260,9 +256,9 @@ def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     """
     Return the friction effort of a drive; ``numbers`` are from `friction_of`.
 
-    Coulomb friction may grow with the load on the gear. The load is the effort (47) that links,
-    payloads, external wrenches and springs require. The load does not contain rotor inertia and
-    friction, because both act on the motor's side of the gear.
+    Coulomb friction may grow with ``load``. The load is the effort (47) that links, payloads,
+    external wrenches and springs require. The load excludes armature and friction, because these
+    efforts act on the motor's side of the gear.
 
     """
     damping, coulomb, load_friction, sqrt_damping, inverse_width = numbers

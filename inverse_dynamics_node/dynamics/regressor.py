@@ -1,12 +1,13 @@
 """
 The regressor of one state: efforts as a linear function of the inertial parameters.
 
-For a given motion, the net force and moment on a body are linear in its mass, its first moment
-(mass times centre of mass) and its inertia about the origin of its frame. The body contributes to
-the effort of each joint that moves it. By the principle of virtual work, the contribution is the
-power of the net force and moment at a unit rate of the joint. The block of the regressor for this
-joint and body therefore depends only on the motion of the body at the given state, and on the
-velocity of the body at a unit rate of the joint.
+The inertial parameters of a body are the mass, the first moment (mass times centre of mass), and
+the inertia about the origin of the body's frame. The net force and moment on a body are linear in
+the inertial parameters.
+
+A body contributes to the effort of every joint that moves the body. By the principle of virtual
+work, the contribution is the power of the net force and moment at unit rate of the joint. A block
+of the regressor contains the ten factors for one joint and one body.
 
 References
 ----------
@@ -55,8 +56,8 @@ def regressor(
     """
     Compute the regressor of one state, for n joints and b bodies.
 
-    ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` contains 9 numbers for each body:
-    the rotation from the body's frame in the table to the frame of its parameters. The other
+    ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` has a row of 9 numbers for each
+    body: the rotation from the body's frame in the table to the body's URDF frame. The other
     arguments and the status are as in `newton_euler.inverse_dynamics`.
 
     """
@@ -86,7 +87,7 @@ def regressor(
             arm = subtract(p, vector(mover, POSITION))
             twist = unit_twist(own_axes, vector(mover, Z_AXIS), arm, mover[SLIDES])
             row = matrix[int(mover[JOINT])]
-            # A mimic joint adds to the row of its master.
+            # A mimic joint contributes to the row of its master joint.
             residue += add_block(row, first, mover[MULTIPLIER], block(twist, motion))
             k = int(mover[PARENT])
     return OK if residue == 0.0 else NOT_FINITE
@@ -94,7 +95,7 @@ def regressor(
 
 @simd_inline
 def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
-    """Rotate the axes and the motion of a link by R = R_LZ into the frame of its parameters."""
+    """Rotate the axes and the motion of a link by R = R_LZ into the URDF frame of the link."""
     x, y, z = (R[0], R[1], R[2]), (R[3], R[4], R[5]), (R[6], R[7], R[8])
     turned = in_base(axes_Z, x), in_base(axes_Z, y), in_base(axes_Z, z)
     omega, omega_dot, accel = motion
@@ -109,12 +110,12 @@ def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
 @simd_inline
 def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector, Vector]:
     """
-    Return a body's angular velocity and its origin's velocity at a unit rate of a joint.
+    Return the angular velocity of a body, and the velocity of the body's origin.
 
-    Both velocities are in the frame of the body. ``axes_L`` are the axes of this frame, ``z`` is
-    the axis of the joint, and ``arm`` points from the joint's origin to the body's origin. All
-    arguments are in base coordinates. ``slides`` is 1.0 for a prismatic joint and 0.0 for a
-    revolute joint.
+    The velocities belong to unit rate of a joint, and are in the frame of the body. ``axes_L`` are
+    the axes of the frame, ``z`` is the axis of the joint, and ``arm`` points from the joint's
+    origin to the body's origin. The arguments are in base coordinates. ``slides`` is 1.0 for a
+    prismatic joint and 0.0 for a revolute joint.
 
     """
     axis, swept = in_frame(axes_L, z), in_frame(axes_L, cross(z, arm))
@@ -131,16 +132,16 @@ def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vecto
 @simd_inline
 def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -> Any:
     """
-    Return the effort of a joint per unit of each parameter of a body that the joint moves.
+    Return the factors of a body's ten parameters in the effort of a joint.
 
-    Let h be the first moment, and I the inertia about the origin. The net force is m accel +
-    omega_dot x h + omega x (omega x h). The net moment about the origin is I omega_dot + omega x
-    (I omega) + h x accel. At a unit rate of the joint, the body has the angular velocity w, and
-    its origin has the velocity v. The effort w . moment + v . force is linear in m, h and I.
+    ``twist`` contains w and v, the velocities of `unit_twist`. The first moment is h, and the
+    inertia about the origin is I. The net force is m accel + omega_dot x h + omega x (omega x h).
+    The net moment about the origin is I omega_dot + omega x (I omega) + h x accel. The effort
+    w . moment + v . force is linear in m, h and I.
 
     """
     (w, v), (omega, omega_dot, accel) = twist, motion
-    # h is mapped to a force by point_acceleration; the transpose of this map is applied to v.
+    # The net force is a linear map of h. A negative omega_dot gives the transpose of this map.
     backwards = 0.0 - omega_dot[0], 0.0 - omega_dot[1], 0.0 - omega_dot[2]
     h = point_acceleration(v, omega, backwards, cross(accel, w))
     # w . (omega x (I omega)) = u . (I omega)
@@ -161,7 +162,7 @@ def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -
 
 @simd_inline
 def add_block(row: Any, first: int, multiplier: float, factors: Any) -> float:
-    """Add ten scaled factors to a row; return 0 if the sums are finite, otherwise NaN."""
+    """Add ten factors to a row; return 0 if the sums are finite, otherwise NaN."""
     residue = 0.0
     for k in range(PARAMETERS):
         entry = row[first + k] + multiplier * factors[k]

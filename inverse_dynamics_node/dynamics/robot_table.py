@@ -1,9 +1,10 @@
 """
-The robot as a table of numbers with named columns and a row for each body, the base first.
+The robot as a table with named columns and one row for each body.
 
-The frame of every body is rotated so that z is the axis of its joint. A row contains the
-properties of the body, the loads on it, and scratch space for the outward and inward passes. A
-vector occupies three columns; the name of the vector is the number of the first column.
+The first row belongs to the base. A row contains the properties of the body, the loads on the
+body, and scratch memory for the passes. The frame of every body is rotated so that z is the axis
+of the joint. A vector occupies three columns. The name of a vector is the number of the first
+column.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ PARENT = 22
 JOINT = 23
 MULTIPLIER = 24
 POSITION_OFFSET = 25
-SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute one
+SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute joint
 # External loads
 EXTERNAL_FORCE = 27  # force that the world exerts on the body [N]
-EXTERNAL_MOMENT = 30  # moment that the world exerts, about the body's origin [N m]
+EXTERNAL_MOMENT = 30  # moment that the world exerts about the body's origin [N m]
 # Properties of joint k, in row k + 1, because row 0 belongs to the base
 STIFFNESS = 33  # stiffness of the spring at the joint [N m/rad or N/m]
 PRELOAD = 34  # effort that balances the spring at joint position 0 [N m or N]
@@ -37,15 +38,15 @@ COUPLING = 35  # turns of the drive per turn of the previous joint
 ARMATURE = 36
 DAMPING = 37
 COULOMB = 38
-INVERSE_WIDTH = 39  # 1 / speed over which Coulomb friction is smoothed [s/rad or s/m]
-LOAD_FRICTION = 40  # Coulomb friction per unit of the effort that the links require
+INVERSE_WIDTH = 39  # 1 / smoothing width of Coulomb friction [s/rad or s/m]
+LOAD_FRICTION = 40  # Coulomb friction per unit of load on the gear
 SQRT_DAMPING = 41  # friction per square root of the speed
-JOINT_BEFORE = 42  # index of the previous joint, which moves the parent body; -1 at the base
+JOINT_BEFORE = 42  # index of the previous joint, from `joints_before`
 # Properties of the whole robot, in the row of the base
 JOINT_COUNT = 43
 HAS_DRIVE_TERMS = 44
 HAS_SPRINGS = 45
-# Scratch space of the passes, except for the motion of the base, which is an input
+# Scratch memory of the passes; the row of the base contains the motion of the base
 COSINE = 46  # cosine of the angle by which the joint has turned
 SINE = 47
 LENGTH = 48  # distance by which the joint has slid [m]
@@ -54,10 +55,10 @@ OMEGA_DOT = 52
 ACCEL = 55
 FORCE = 58
 MOMENT = 61
-RATE = 64  # speed of joint k
+RATE = 64  # velocity of joint k, in row k + 1
 RATE_DOT = 65
 COMPOSITE = 66  # ten columns, used by `mass_matrix` only
-POSITION = 76  # origin of the frame, in base coordinates; the passes use no columns from here on
+POSITION = 76  # origin of the frame, in base coordinates [m]
 X_AXIS = 79  # axis of the frame, in base coordinates
 Y_AXIS = 82
 Z_AXIS = 85
@@ -130,14 +131,14 @@ def load_of(row: Any) -> Any:
 
 @simd_inline
 def friction_of(row: Any) -> Any:
-    """Read viscous, Coulomb, load and square-root friction, and the inverse smoothing speed."""
+    """Read viscous, Coulomb, load and square-root friction, and the inverse width."""
     per_load, per_root = row[LOAD_FRICTION], row[SQRT_DAMPING]
     return row[DAMPING], row[COULOMB], per_load, per_root, row[INVERSE_WIDTH]
 
 
 @simd_inline
 def coupling_of(row: Any) -> Any:
-    """Read the drive turns per turn of the previous joint, and the index of the previous joint."""
+    """Read the drive coupling, and the index of the previous joint."""
     return row[COUPLING], int(row[JOINT_BEFORE])
 
 
@@ -170,7 +171,7 @@ _UPPER = np.triu_indices(3)
 
 
 def table_of(robot: RobotModel) -> Floats:
-    """Make the table, shape (b, COLUMNS), of b bodies at rest without gravity or loads."""
+    """Make the table of a robot at rest without gravity or loads, shape (b, COLUMNS)."""
     table = np.zeros((len(robot.parent), COLUMNS))
     R_ZL = rotations_to_z(robot)
     R_ZL_of_parent = R_ZL[robot.parent]
@@ -214,10 +215,10 @@ def write_friction(
     load_friction: Floats,
     sqrt_damping: Floats,
 ) -> None:
-    """Set the friction of all joints; Coulomb friction is smoothed over ``speeds``."""
+    """Set the friction of all joints; ``speeds`` are the smoothing widths."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
-    # Zero where the width has no effect: generated code treats nonzero numbers as loads.
+    # Zero if the width has no effect, because generated code treats nonzero numbers as loads.
     steps = coulomb + load_friction + sqrt_damping
     write_joints(table, INVERSE_WIDTH, np.where(steps > 0.0, 1.0 / speeds, 0.0))
     write_joints(table, LOAD_FRICTION, load_friction)
@@ -238,14 +239,15 @@ def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, F
 
 def joints_before(robot: RobotModel) -> Integers:
     """
-    Return the index of the joint before each of the n joints, shape (n,).
+    Return the index of the previous joint for each of the n joints, shape (n,).
 
-    The joint before a joint is the joint that moves the parent body. The index is -1 if the parent
-    body is the base, or if the joint that moves the parent body mimics the given or a later joint.
+    The previous joint of a joint moves the parent body. The index is -1 if the parent body is the
+    base. The index is also -1 if the parent body moves with a mimic joint, and the master joint is
+    the same joint or a later joint.
 
     """
     before = np.full(len(robot.joint_names), -1)
-    # The last value of a joint with mimic joints is that of the master.
+    # The first body of a joint with mimic joints decides, because the loop runs backwards.
     for body in range(len(robot.parent) - 1, 0, -1):
         parent, joint = int(robot.parent[body]), int(robot.joint_index[body])
         carrier = int(robot.joint_index[parent]) if parent > 0 else -1
@@ -262,7 +264,7 @@ def _rotation_of_z_to(axis: Floats) -> Floats:
     """Return a rotation of z onto a unit vector; the rotation is exact for +-x, +-y and +-z."""
     if not axis.any():  # the base has no joint
         return np.eye(3)
-    if axis[2] < 0.0:  # half a turn about x first keeps the formula below well conditioned
+    if axis[2] < 0.0:  # half a turn about x, because the formula below divides by 1 + z
         half_turn = np.diag([1.0, -1.0, -1.0])
         return np.asarray(half_turn @ _rotation_of_z_to(half_turn @ axis))
     x, y, z = axis

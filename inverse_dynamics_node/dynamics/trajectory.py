@@ -1,4 +1,4 @@
-"""Trajectories: derive velocities and accelerations, insert points, smooth, compute efforts."""
+"""Functions that complete, refine and smooth trajectories, and compute their efforts."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from .batch import LANES
 from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
-"""Largest number of states times joints; larger results need gigabytes of memory."""
+"""Largest product of states and joints, because larger results need gigabytes of memory."""
 _FEWEST_TO_SMOOTH = 16
-"""Smallest number of points that `smooth` accepts; the filter would accept fewer points."""
+"""Smallest number of points that `smooth` accepts."""
 
 
 class Trajectory(NamedTuple):
@@ -34,13 +34,12 @@ class Trajectory(NamedTuple):
 
 def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     """
-    Derive missing velocities and accelerations; return the result, and notes on what was derived.
+    Derive missing velocities and accelerations; return the result, and a note for each derivation.
 
-    If there are no velocities, the velocities are derived from a cubic spline that passes through
-    the positions and is at rest at both ends. Missing accelerations are then derived from the same
-    spline. If there are velocities but no accelerations, the accelerations are derived from a
-    cubic spline through the velocities, with not-a-knot ends. A single point is at rest. An
-    invalid trajectory raises a TrajectoryError.
+    Missing velocities are derived from a cubic spline through the positions, at rest at both ends.
+    If velocities are missing, missing accelerations are derived from the same spline. Otherwise,
+    missing accelerations are derived from a cubic spline through the velocities, with not-a-knot
+    ends. A single point is at rest. An invalid trajectory raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -65,11 +64,11 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     """
     Insert states between distant points; return the result and the indices of the old points.
 
-    In the result, consecutive states are at most ``longest_step`` [s] apart. Consecutive points
-    are connected by the quintic polynomial that matches position, velocity and acceleration at
-    both points, as in ros2_control's joint trajectory controller. If `complete` has derived
-    velocities and accelerations from the positions, the polynomials equal the cubic spline.
-    Missing velocities or accelerations, or too many states, raise a TrajectoryError.
+    In the result, consecutive states are at most ``longest_step`` [s] apart. Quintic polynomials
+    connect the points, as in ros2_control's joint trajectory controller. The polynomials match the
+    positions, velocities and accelerations of the points. If `complete` has derived velocities and
+    accelerations from the positions, the polynomials equal the cubic spline. Missing velocities or
+    accelerations, or too many states, raise a TrajectoryError.
 
     """
     times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations
@@ -79,9 +78,10 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     if not total <= most:
         k = int(np.argmax(steps))
         raise TrajectoryError(
-            f'{total:.3g} states are too many, expected at most {most:.3g}: the trajectory lasts '
-            f'{times[-1] - times[0]:.3g} s; point {k} is at {times[k]:.10g} s, point {k + 1} at '
-            f'{times[k + 1]:.10g} s. Check the times, or evaluate fewer states per second'
+            f'{total:.3g} states are too many, expected at most {most:.3g}. The trajectory lasts '
+            f'{times[-1] - times[0]:.3g} s. The longest step is from point {k} at '
+            f'{times[k]:.10g} s to point {k + 1} at {times[k + 1]:.10g} s. Check the times, or '
+            'evaluate fewer states per second'
         )
     counts = wanted.astype(np.int64)
     points: Integers = np.concatenate([[0], np.cumsum(counts)])
@@ -104,13 +104,12 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
 
 def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     """
-    Smooth noisy measured positions, and derive velocities and accelerations from them.
+    Smooth measured positions, and derive velocities and accelerations.
 
-    The result has evenly spaced times. Given velocities and accelerations are ignored. A
-    second-order Butterworth low-pass filter with the cut-off frequency ``cutoff`` [Hz] runs over
-    the positions forwards and then backwards, so that the positions are not delayed. Central
-    differences give velocities and accelerations. Smoothing hardly changes gravity efforts,
-    because they depend only on positions. Too few points, too low a rate, or an invalid trajectory
+    The times of the result are evenly spaced. Given velocities and accelerations are ignored. A
+    second-order Butterworth low-pass filter with the cut-off frequency ``cutoff`` [Hz] runs
+    forwards and then backwards, so that the positions are not delayed. Central differences give
+    velocities and accelerations. Too few points, a rate that is too low, or an invalid trajectory
     raises a TrajectoryError.
 
     """
@@ -140,15 +139,15 @@ def trajectory_efforts(
     """
     Compute the efforts at k points of a trajectory of m joints, shape (k, m) [N m or N].
 
-    The trajectory must have velocities and accelerations. Its joints may be some of the n joints
-    of the robot, in any order. The columns of the result are in the order of the trajectory's
-    joints. All other joints rest at their positions in ``others``, shape (n,) [rad or m], or at
-    zero if ``others`` is None. Unknown or repeated joint names raise a TrajectoryError.
+    The trajectory must have velocities and accelerations. The joints of the trajectory may be some
+    of the n joints of the robot, in any order. The columns of the result are in the order of the
+    trajectory's joints. All other joints rest at the positions in ``others``, shape (n,) [rad or
+    m], by default at zero. Unknown or repeated joint names raise a TrajectoryError.
 
     """
     states, index = whole_states(dynamics, trajectory, others)
     tau = np.empty_like(states[0])
-    # Batches stay small: the first large batch compiles for seconds, too long for control loops.
+    # Batches stay small, because the first large batch would compile code for seconds.
     for start in range(0, len(tau), LANES - 1):
         q, qd, qdd = (values[start : start + LANES - 1] for values in states)
         tau[start : start + LANES - 1] = dynamics.efforts(q, qd, qdd)
@@ -181,7 +180,7 @@ def whole_states(
 def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
     if len(times) == 1:
         return np.zeros_like(values)
-    from scipy.interpolate import CubicSpline  # takes a third of a second to import
+    from scipy.interpolate import CubicSpline  # imported here, because scipy loads slowly
 
     try:
         with np.errstate(all='ignore'):
@@ -191,7 +190,7 @@ def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
         derivative = np.full_like(values, np.nan)
     if not np.isfinite(derivative).all():
         raise TrajectoryError(
-            'the spline overflows: positions are too far apart for the time between them'
+            'the spline overflows: points are too far apart for the time between them'
         )
     return derivative
 

@@ -1,4 +1,4 @@
-"""Makes the control loop from the parameters, and applies their changes while the loop runs."""
+"""Makes the control loop, and applies changes of parameters while the loop runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Build the control loop, and warm up the functions whose first call is slow."""
+    """Build the control loop, and call the functions that are slow at their first call."""
     loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports scipy.interpolate
@@ -42,7 +42,7 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
     """
     Build the control loop of a robot; `text` is the URDF of the robot.
 
-    Once `make_loop` has compiled the code, a call takes less than a millisecond. Raise an
+    A call takes less than a millisecond if `make_loop` has been called before. Raise an
     InverseDynamicsError if the parameters do not fit the robot.
     """
     loop = ControlLoop(
@@ -63,7 +63,7 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapping[str, Floats]:
     """
-    Return each per-joint parameter by name, as values of the commanded joints, shape (m,).
+    Return the per-joint parameters by name, each with shape (m,) for m commanded joints.
 
     Raise a ConfigurationError if the values do not fit the robot.
     """
@@ -90,9 +90,9 @@ def apply_configuration(
     """
     Apply the parameters that may change while the loop runs.
 
-    `of_joint` is the result of `check_configuration`. Only values that differ from the old
-    configuration `before` are applied. Otherwise a change of any parameter would discard the
-    gravity received on ~/gravity.
+    `of_joint` is the result of `check_configuration`. `before` is the old configuration.
+    Unchanged gravity is not applied, because a message on ~/gravity may have replaced the
+    parameter.
     """
     changed = {
         name
@@ -116,7 +116,7 @@ def apply_configuration(
 def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: Mapping[str, Floats]
 ) -> None:
-    """Set the drives and springs of commanded joints; other joints keep their URDF friction."""
+    """Set drives and springs of the commanded joints; other joints keep the URDF friction."""
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
     def of_robot(name: str, others: Floats = zeros, least: float = -np.inf) -> Floats:

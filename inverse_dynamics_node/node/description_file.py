@@ -26,7 +26,7 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     """
     Return the robot and the text of its URDF.
 
-    `description` is the URDF from the topic; it is used only if no parameter gives a URDF.
+    `description` is the URDF from the topic. A URDF from a parameter has precedence.
     Raise an InverseDynamicsError if there is no usable description.
     """
     missing = configuration.on_missing_inertial.value
@@ -52,11 +52,10 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
     """
     Load the file named by robot_description_file; return the robot and the URDF text.
 
-    `given` is ``file:///path``, ``package://package/path`` or a path, which may be absolute,
-    relative to the working directory, or start with ``~``. A file whose name ends in ``.xacro``
-    is processed with xacro first; arguments ``name:=value`` may follow the file name. Raise
-    a ConfigurationError if the file or the package does not exist, or if xacro fails. Raise a
-    UrdfError if the file cannot be used.
+    `given` is a path, ``file:///path`` or ``package://package/path``. A path may start with
+    ``~``. If the file name ends in ``.xacro``, xacro processes the file, and arguments
+    ``name:=value`` may follow. Raise a ConfigurationError if the file or the package does not
+    exist, or if xacro fails. Raise a UrdfError if the file cannot be used.
     """
     file, arguments = _split(given)
     try:
@@ -108,7 +107,7 @@ def _load_xacro(
 
 
 def _text_of(path: Path) -> str:
-    """Return the text of a URDF file, decoded and without comments."""
+    """Return the text of a URDF file without comments."""
     root, _ = parse(read_source(path))
     etree.strip_tags(root, etree.Comment)
     return str(etree.tostring(root, encoding='unicode'))
@@ -155,8 +154,8 @@ class DescriptionLoader:
     """
     Makes the control loop for a new robot description while the old loop runs.
 
-    Reading a description takes tenths of a second, during which the robot must get commands.
-    Therefore `worker` reads the descriptions in another process.
+    Reading a description takes tenths of a second. Therefore `worker` reads descriptions in
+    another process.
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -166,7 +165,7 @@ class DescriptionLoader:
 
     @property
     def is_loading(self) -> bool:
-        """Whether a description is being read, or has been read and waits for `take_loop`."""
+        """Whether a description is being read or waits for `take_loop`."""
         return self._loading is not None
 
     def poll(self) -> bool:
@@ -179,24 +178,24 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """Schedule this description for reading, and ignore all older ones."""
+        """Schedule a description for reading, and ignore older descriptions."""
         self._next = configuration, description
         self.poll()
 
     def drop(self) -> None:
-        """Ignore all descriptions that wait or are being read."""
+        """Ignore all descriptions that have been passed to `load`."""
         self._loading = self._next = None
 
     def take_loop(
         self, old: ControlLoop, configuration: Configuration, is_active: bool
     ) -> tuple[ControlLoop, list[str]]:
         """
-        Return the new loop, and the links that had a payload but are not in the new description.
+        Return the new loop, and the removed links that had a payload.
 
         If `is_active`, the new loop continues from the last command of the old loop. Otherwise
-        the new loop copies only inputs such as payloads. `configuration` may be newer than the
+        the new loop only copies inputs such as payloads. `configuration` may be newer than the
         configuration passed to `load`. Raise an InverseDynamicsError if the description cannot be
-        used, or cannot replace the old description.
+        used.
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None

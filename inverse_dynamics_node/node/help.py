@@ -176,7 +176,7 @@ SERVICES = {
 
 
 _WORDS = {"''": 'empty', "['']": 'all', 'None': 'none'}
-"""Words to show in place of defaults that are hard to read."""
+"""Words for defaults that are hard to read."""
 
 
 def help_text() -> str:
@@ -224,7 +224,7 @@ def _describe(name: str, parameter: Parameter) -> str:
 
 
 def enclaves_for(arguments: Sequence[str]) -> tuple[Enclave, ...]:
-    """Return the SROS 2 enclaves of a node with these arguments, and of the programs around it."""
+    """Return the SROS 2 enclaves of a node with these arguments and of related programs."""
     return enclaves(arguments, SUBSCRIBED, PUBLISHED, SERVICES)
 
 

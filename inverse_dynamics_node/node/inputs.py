@@ -29,23 +29,23 @@ from .runner import LoopRunner
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
 _SMALL_CHANGE = 0.05  # smaller relative changes of gravity are not logged
-_MAX_REFERENCE = 1 << 16  # [bytes]; reading this size takes 2 ms, during which no command is sent
+_MAX_REFERENCE = 1 << 16  # [bytes]; reading so many bytes delays commands by 2 ms
 
 
 class Inputs:
-    """Stores messages in the control loop; if update_rate is 0, joint states step the loop."""
+    """Stores messages in the control loop; joint states step the loop if update_rate is 0."""
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
-        self._configuration: Configuration | None = None  # at the latest message that used it
+        self._configuration: Configuration | None = None  # that was used last
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
-        self._collector: JointStateCollector | None = None  # for which the reader was made
+        self._collector: JointStateCollector | None = None  # of `self._reader`
         self.last_joint_state = time.monotonic()
-        """Steady time of the last joint state [s]; until the first joint state, the start time."""
+        """Steady time of the last joint state [s]; initially the start time."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
-        """Number of complete updates of the commanded joints since the start."""
+        """Number of times that all commanded joints have been updated."""
         self._last_state = -math.inf
 
         def subscribe(
@@ -73,7 +73,7 @@ class Inputs:
         )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:
-        """Return the parameters; after a change, request new reports on the IMU and gravity."""
+        """Return the parameters; after a change, let the IMU and gravity be reported again."""
         configuration = self._runner.configuration
         if configuration is not self._configuration:
             self._configuration = configuration
@@ -114,13 +114,14 @@ class Inputs:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
-        """Return the measured efforts; NaN if they are missing, () if no topic needs them."""
+        """Return the measured efforts, which may be NaN, or () if no topic needs efforts."""
         if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:
             return measured
         if len(measured):  # the positions are still used
-            self._runner.reject('joint_states', f'{count} names, but {len(measured)} efforts')
+            reason = f'{count} names, but {len(measured)} efforts'
+            self._runner.reject('joint_states', reason, 'efforts')
         return np.full(count, math.nan)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
@@ -178,7 +179,7 @@ class Inputs:
         self._handle('~/gravity', store)
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
-        """Report gravity if it has changed; warn if it opposes the parameter `gravity`."""
+        """Log a change of gravity; warn if gravity is opposite to the parameter `gravity`."""
         configuration = self._use_parameters(loop)
         if self._reported_gravity is not None and self._reported_gravity[0] is loop:
             change = np.linalg.norm(gravity - self._reported_gravity[1])
@@ -190,7 +191,7 @@ class Inputs:
         is_problem = bool(gravity @ expected < 0.0)
         if is_problem:
             text += (
-                f' is opposite to the parameter gravity, {_listed(expected)}: expected the '
+                f' is opposite to the parameter gravity ({_listed(expected)}): expected the '
                 'free-fall acceleration, which points to the ground; an IMU at rest measures '
                 'the opposite'
             )
@@ -241,13 +242,13 @@ def _listed(vector: Floats) -> str:
 def _read_accelerations(
     message: Float64MultiArray, joints: Sequence[str], now: float
 ) -> Reference:
-    """Read accelerations in the order of the commanded joints."""
+    """Read the accelerations of the commanded joints."""
     accelerations = _finite('acceleration', message.data, joints)
     return Reference(accelerations, np.zeros(len(joints)), now)
 
 
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
-    """Read the first point, by joint name; missing accelerations and efforts become zero."""
+    """Read the first point; missing accelerations and efforts become zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
             f'the message has {len(data)} bytes, expected at most {_MAX_REFERENCE}: only the '
@@ -284,7 +285,7 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
 
 
 def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
-    """Read the link, mass and centre of mass of a payload, and its inertia about that centre."""
+    """Return link, mass, centre of mass, and inertia about the centre of mass."""
     body = message.inertia
     inertia = [
         [body.ixx, body.ixy, body.ixz],
@@ -295,12 +296,11 @@ def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
 
 
 def _read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
-    """Read the link, force and moment of a wrench."""
     return _frame(message), _read_vector(message.wrench.force), _read_vector(message.wrench.torque)
 
 
 def _read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
-    """Read the specific force and the angular velocity, and rotate both into the base frame."""
+    """Return the specific force and the angular velocity in the base frame."""
     for what, covariance in (
         ('linear acceleration', message.linear_acceleration_covariance),
         ('angular velocity', message.angular_velocity_covariance),

@@ -33,7 +33,7 @@ _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated
 
 
 class BoundedLogger:
-    """A logger that shortens long lines: names from messages or files can be very long."""
+    """A logger that shortens long lines, because names in messages can be very long."""
 
     def __init__(self, logger: Any) -> None:
         self._logger = logger
@@ -46,11 +46,9 @@ class BoundedLogger:
         return bool(self._logger.info(shortened_lines(text), **options))
 
     def warning(self, text: str, **options: Any) -> bool:
-        """Log a warning."""
         return bool(self._logger.warning(shortened_lines(text), **options))
 
     def error(self, text: str, **options: Any) -> bool:
-        """Log an error."""
         return bool(self._logger.error(shortened_lines(text), **options))
 
     def fatal(self, text: str, **options: Any) -> bool:
@@ -60,10 +58,9 @@ class BoundedLogger:
 
 class NodeLog:
     """
-    Logs a problem when it begins, and again every few seconds while it lasts.
+    Logs the beginning of a problem, and repeats a lasting problem every few seconds.
 
-    The logger of rclpy could limit repetitions, but would need 0.2 ms even for a message that it
-    drops.
+    The logger of rclpy can limit repetitions, too, but takes 0.2 ms for each dropped message.
     """
 
     def __init__(self, logger: Any) -> None:
@@ -76,21 +73,21 @@ class NodeLog:
         self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
-        """Let the next step report its activity, even if the same activity was reported last."""
+        """Let the next step report its activity, even if the activity has not changed."""
         self._last_activity = None
         self._changes.clear()
 
     def warn(self, key: Hashable, text: str | Callable[[], str]) -> None:
-        """Log a warning, unless the same key was used a moment ago."""
+        """Log a warning, unless a warning with the same key was logged a moment ago."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
-        Log what a message has changed, or why it was dropped; log a warning if `is_problem`.
+        Log the effect of a message, or why the message was dropped.
 
-        The text is not logged if the topic has had the same text, or too many texts, a moment
-        ago.
+        The log entry is a warning if `is_problem`. Nothing is logged if the same text, or too
+        many texts for this topic, were logged a moment ago.
         """
         times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
         now = time.monotonic()
@@ -131,7 +128,7 @@ class NodeLog:
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
     def report_part(self, name: str, part: Part | None) -> None:
-        """Report a problem in a part of the status every ten seconds, and report when it ends."""
+        """Report a problem in a part of the status every ten seconds, and report its end."""
         if part is None:
             return
         last = self._last_parts.get(name, (Level.OK, ''))
@@ -150,10 +147,10 @@ class NodeLog:
     def report_step(
         self, now: float, loop: ControlLoop, command: Command, *, is_dry_run: bool
     ) -> None:
-        """Report a change of activity, and other problems of the step; repeat an alarm."""
+        """Report a change of activity and the problems of the step; repeat alarms."""
         controller = loop.controller
         phase = controller.phase
-        # The end of a ramp down is a change within a phase. The end of a ramp up is not reported.
+        # The end of a ramp down is reported, even though the phase does not change.
         key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
             self._report_activity(now, loop, key, is_dry_run)
@@ -167,7 +164,7 @@ class NodeLog:
             self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
 
     def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
-        """Warn that new joint states lack the velocities of these joints; name the publishers."""
+        """Warn that new joint states lack velocities, and name the publishers."""
         if self._is_due('velocities'):
             self._logger.warning(
                 f'joint_states: the velocities of {", ".join(joints)} are missing in new messages '
@@ -181,7 +178,7 @@ class NodeLog:
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report the loss of IMU messages every few seconds, and report when they are back."""
+        """Report the loss of IMU messages every few seconds, and report the end of the loss."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True
@@ -209,7 +206,7 @@ class NodeLog:
             # Several changes may follow in quick succession, for example after a clock jump.
             is_due = len(self._changes) < _MOST_CHANGES or steady - self._changes[0] >= _PERIOD
         if not is_due:
-            return  # the next step tries again, so that the latest activity is never missed
+            return  # the next step tries again
         self._changes.append(steady)
         self._last_activity = key
         text = activity(now, loop, is_dry_run=is_dry_run)

@@ -1,4 +1,4 @@
-"""Process of the node: starts and spins the node, and ramps the efforts down at the end."""
+"""Starts and spins the node, and ramps the efforts down at the end."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from types import FrameType
 from typing import Any
 import warnings
 
-# Functions below import rclpy and numpy after the signal handlers have been installed. The import
-# takes almost a second, and a signal during this time must end the process cleanly, too.
+# rclpy and numpy are imported after the signal handlers have been installed, because the import
+# takes almost a second. A signal during the import must also end the process cleanly.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ADDRESS_SPACE = 1500 << 20  # [bytes]; rclpy, numpy and numba on two cores need 1.2 GB
@@ -31,7 +31,7 @@ class _Stop:
 
     def __init__(self) -> None:
         self.count = 0
-        # nohup ignores SIGHUP, and expects the same of its child process.
+        # Under nohup, SIGHUP is ignored and must stay ignored.
         self._numbers = [
             number
             for number in _SIGNALS
@@ -40,12 +40,11 @@ class _Stop:
         self.catch()
 
     def catch(self) -> None:
-        """Install the handlers that count the signals."""
         for number in self._numbers:
             signal.signal(number, self._handle)
 
     def release(self) -> None:
-        """Let the next signal end the process at once, even in a call that never returns."""
+        """Let the next signal end the process at once, even during a call that never returns."""
         for number in self._numbers:
             signal.signal(number, signal.SIG_DFL)
 
@@ -232,29 +231,27 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def _unblock_output() -> None:
     """
-    Prevent writes to standard output and standard error from blocking the control loop.
+    Drop output that nobody reads, because a blocked write would stop the control loop.
 
-    If nobody reads the output, text is dropped and the writer continues. The logger of rclpy
-    writes while it holds the global interpreter lock. A blocked write would therefore stop all
-    threads, and writing in a separate thread would not help.
+    A separate thread for the output would not help: the logger of rclpy writes while it holds the
+    global interpreter lock.
     """
     for number, name in ((1, 'stdout'), (2, 'stderr')):
         try:
             _unblock(number)
         except OSError:
-            # The output is closed. A new socket would get this number, and would receive the log.
+            # The output is closed. Otherwise a new socket would get this number and the log.
             _open_as(os.devnull, number, os.O_WRONLY)
         output: Any = _LossyOutput(number, 'w', closefd=False)
         setattr(sys, name, io.TextIOWrapper(output, errors='backslashreplace', write_through=True))
 
 
 def _report(message: str) -> None:
-    """Write a message to standard error."""
     sys.stderr.write(f'inverse_dynamics_node: {message}\n')
 
 
 def _unblock(number: int) -> None:
-    """Reopen a pipe or terminal as non-blocking, but only for this process."""
+    """Make a pipe or terminal non-blocking, but only for this process."""
     mode = os.fstat(number).st_mode
     if stat.S_ISSOCK(mode):  # a socket cannot be opened again
         os.set_blocking(number, False)
@@ -272,7 +269,7 @@ def _open_as(path: str, number: int, flags: int) -> None:
 
 
 class _LossyOutput(io.FileIO):
-    """A file that drops a text if it cannot be written at once."""
+    """A file that drops text instead of blocking."""
 
     def write(self, data: Any) -> int:
         with contextlib.suppress(OSError):

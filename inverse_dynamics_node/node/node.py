@@ -53,9 +53,8 @@ class InverseDynamicsNode(LifecycleNode):
     Publishers, subscriptions and services exist as long as the node exists. The control loop and
     its timers exist only while the node is configured.
 
-    `skip_ramp` returns whether to cut the stop ramp short. Create `scheduling` before `worker`.
-    `worker` does long work; the default worker is a thread. Other arguments are passed to
-    `LifecycleNode`.
+    `skip_ramp` returns True to end the stop ramp early. `worker` does long work, by default in a
+    thread. Create `scheduling` before `worker`. Other arguments are for `LifecycleNode`.
     """
 
     def __init__(
@@ -132,10 +131,10 @@ class InverseDynamicsNode(LifecycleNode):
 
     def autostart(self) -> bool:
         """
-        Configure and activate the node if it may autostart and has a robot description.
+        Configure and activate the node if there is a robot description.
 
-        After the first activation, this method does nothing: a node that a user has deactivated
-        stays inactive until a user activates it. Return False if the robot description or the
+        Do nothing if the parameter `autostart` is false. Do nothing after the first activation,
+        because a user may have deactivated the node. Return False if the robot description or the
         parameters cannot be used.
         """
         if not self._may_autostart:
@@ -156,7 +155,7 @@ class InverseDynamicsNode(LifecycleNode):
             self.trigger_deactivate()
 
     def catch_up(self) -> None:
-        """Handle the latest joint state and do the work of the timers, instead of the executor."""
+        """Handle the latest joint state, and do the overdue work of the timers."""
         if self._runner.loop is None:
             return
         self._inputs.read_latest_joint_state()
@@ -165,7 +164,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._diagnostics.publish_if_late()
 
     def _keep_up(self) -> None:
-        """Handle the latest joint state, and step if a step is late, between two requests."""
+        """Handle the latest joint state, and step the loop if a step is late."""
         if self._runner.is_active:
             self._inputs.read_latest_joint_state()
             self._runner.step_if_late()
@@ -233,7 +232,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._graph.expect_discovery()
         self._warn_of_launch(configuration)
         self._runner.configure(loop)
-        # Garbage collection in all objects of the libraries would take tens of milliseconds.
+        # Garbage collection would otherwise search all libraries for tens of milliseconds.
         gc.freeze()
 
     def _warn_of_launch(self, configuration: Configuration) -> None:
@@ -256,7 +255,7 @@ class InverseDynamicsNode(LifecycleNode):
     # Parameters
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Accept new values only if the node can use them together."""
+        """Accept new values only if the node can use all values together."""
         try:
             self._check_change(parameters)
         except InverseDynamicsError as error:
@@ -295,7 +294,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._next = after, of_joint
 
     def _check_file_change(self, configuration: Configuration) -> None:
-        """Refuse a change of robot_description_file, unless the change is allowed now."""
+        """Raise a ConfigurationError if robot_description_file may not change now."""
         allowed = configuration.allow_description_file_changes
         if allowed is FileChanges.NEVER:
             reason = 'is read when the process starts'

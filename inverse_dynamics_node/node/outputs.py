@@ -1,4 +1,4 @@
-"""Publishers of the control loop; optional topics get messages only if they have subscribers."""
+"""Publishes the commands; publishes other topics only if they have subscribers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 
 
 class Outputs:
-    """Publishes the commands and the topics that explain them; reuses message objects."""
+    """Publishes the commands, and the efforts and wrenches that explain the commands."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
@@ -48,7 +48,7 @@ class Outputs:
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
-        """Store which topics have subscribers: a check before every message would be too slow."""
+        """Find the topics with subscribers; a check before every message would be too slow."""
         self._subscribed = {
             publisher
             for publisher in (
@@ -63,12 +63,12 @@ class Outputs:
 
     @property
     def receivers(self) -> int:
-        """Number of subscribers to the commands, on all topics that may carry them."""
+        """Number of subscribers of all topics that may carry the commands."""
         return sum(form.get_subscription_count() for form in self.forms)
 
     @property
     def uses_measured_efforts(self) -> bool:
-        """Whether ``~/external_efforts``, which needs measured efforts, has a subscriber."""
+        """Whether ``~/external_efforts`` has a subscriber and thus needs measured efforts."""
         return self._external_efforts in self._subscribed
 
     def publish_description(self, loop: ControlLoop) -> None:
@@ -77,17 +77,17 @@ class Outputs:
 
     def publish_command(self, loop: ControlLoop, efforts: Floats, sent: Floats | None) -> None:
         """
-        Publish efforts of the m commanded joints, shape (m,) [N m or N].
+        Publish the efforts of the m commanded joints.
 
-        `efforts` contains the computed efforts. `sent` contains the efforts for the robot, or is
-        None if nothing is sent.
+        `efforts` are the computed efforts, shape (m,) [N m or N]. `sent` are the efforts for the
+        robot, or None if nothing is sent.
         """
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
             if self._joint_commands in self._subscribed:
                 self._publish_joint_commands(loop, sent)
             else:
-                loop.drive.weight = 0.0  # for a later subscriber, the reference is ramped in
+                loop.drive.weight = 0.0  # the reference is ramped in for a later subscriber
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
@@ -96,11 +96,11 @@ class Outputs:
         """Describe where a dry run publishes efforts; `to` names the topic without efforts."""
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
-            return f'are computed: dry run, nothing is sent {to}, nor to {by_name}'
-        return f'are on ~/joint_efforts only: dry run, nothing is sent {to}'
+            return f'are only computed (dry run): nothing is sent {to}, nor to {by_name}'
+        return f'are on ~/joint_efforts only (dry run): nothing is sent {to}'
 
     def publish_zeros(self, loop: ControlLoop) -> None:
-        """Publish zeros, and wait until they have been delivered."""
+        """Publish zeros, and wait for their delivery."""
         zeros = np.zeros(len(loop.controller.joints))
         for _ in range(3):  # because best-effort subscribers do not acknowledge
             self.publish_command(loop, zeros, zeros)
@@ -143,13 +143,11 @@ class Outputs:
 
 
 def _write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
-    """Write joint names and efforts into a reused message."""
     message.name = list(joints)
     message.effort = array('d', efforts.tobytes())
 
 
 def _write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
-    """Write a wrench into a reused message."""
     message.header.frame_id = link
     for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):
         part.x, part.y, part.z = values.tolist()

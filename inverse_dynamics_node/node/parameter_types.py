@@ -79,7 +79,7 @@ def _numbers(value: Any) -> PerJoint:
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    """Return the names that are not empty. None means no names: rclpy turns [] into None."""
+    """Return the names that are not empty; rclpy turns an empty list into None."""
     if isinstance(value, str):
         raise TypeError
     return tuple(_text(name) for name in value or () if name)
@@ -127,13 +127,13 @@ class Parameter:
     minimum: float = -UNBOUNDED
     maximum: float = UNBOUNDED
     is_live: bool = True
-    """Whether a change applies at once, rather than when the node is configured again."""
+    """Whether a change applies without a new configuration of the node."""
     is_read_only: bool = False
-    """Whether the value is read when the process starts, and cannot change later."""
+    """Whether the value can be set only when the process starts."""
     is_unlimited_at_zero: bool = False
     """Whether the value 0 means that there is no limit."""
     default_note: str = ''
-    """Description of a default that depends on the machine or on how the node is started."""
+    """Description of a default that depends on the machine or the launch file."""
 
     @property
     def description(self) -> str:
@@ -151,7 +151,7 @@ class Parameter:
 
     @property
     def range_text(self) -> str:
-        """Text of the range or the choices; empty if the parameter has neither."""
+        """Text of the range or of the choices; may be empty."""
         if not self.range:
             return ', '.join(self.kind.choices)
         if self.maximum < UNBOUNDED:
@@ -160,7 +160,7 @@ class Parameter:
 
     @property
     def default_text(self) -> str:
-        """The default as written in a parameter file, or `default_note` if that is not empty."""
+        """`default_note`, or else the default as written in a parameter file."""
         if self.default_note:
             return self.default_note
         if isinstance(self.default, bool):
@@ -208,7 +208,7 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
 
 
 def _hint(value: Any) -> str:
-    """Explain a text that looks like a number; return an empty text for any other value."""
+    """Return a hint if a text looks like a number, otherwise an empty text."""
     try:
         number = float(value) if isinstance(value, str) else math.nan
     except ValueError:
@@ -217,6 +217,6 @@ def _hint(value: Any) -> str:
 
 
 def parameter(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
-    """Declare a parameter as a field of a dataclass; the arguments are fields of `Parameter`."""
+    """Declare a dataclass field as a parameter; the arguments are fields of `Parameter`."""
     declaration = {'default': default, 'summary': summary, 'details': details, **properties}
     return field(metadata=declaration)

@@ -1,10 +1,9 @@
 """
-The parameters of the node, each declared once.
+The parameters of the node.
 
-A parameter is a field of `Configuration`, which inherits the fields of `Settings` and
-`LoadSettings` in control/settings.py. The ROS parameters, the text of ``--help``,
-config/inverse_dynamics.yaml and the parameter table of doc/interface.md are generated from these
-fields. `make parameters` writes the two files.
+Each parameter is a field of `Configuration` or of its base classes in control/settings.py. The
+ROS parameters, ``--help``, config/inverse_dynamics.yaml and the table in doc/interface.md are
+generated from these fields. After a change of a field, run `make parameters`.
 """
 
 # ruff: noqa: RUF009 -- parameter() returns a dataclasses.field
@@ -28,7 +27,7 @@ from .parameter_types import kind_of, NUMBER, Parameter, parameter
 from .scheduling import has_realtime_kernel
 
 VALUE_OF_URDF = -1.0
-"""In `damping` and `coulomb`, this number stands for the value in the robot description."""
+"""Value of `damping` or `coulomb` that stands for the value in the robot description."""
 
 
 class BaseMotion(Enum):
@@ -63,7 +62,7 @@ class Executor(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Configuration(Settings, LoadSettings):
-    """The checked values of all parameters, for the control loop and for the node."""
+    """The checked values of all parameters."""
 
     robot_description: str = parameter(
         '',
@@ -272,7 +271,7 @@ class Configuration(Settings, LoadSettings):
         is_read_only=True,
     )
     locked_positions: dict[str, float] = field(default_factory=dict)
-    """Positions of uncommanded joints by name, used until they are reported [rad or m]."""
+    """Positions of uncommanded joints by name, used until joint states arrive [rad or m]."""
 
     @property
     def period(self) -> float:

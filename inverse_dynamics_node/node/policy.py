@@ -1,4 +1,4 @@
-"""Writes the SROS 2 policy of the node and of the programs around it; needs no ROS."""
+"""Writes an SROS 2 policy for the node and related programs, without ROS."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _WATCHED = (
     '~/external_efforts',
 )
 _EVENTS = '/parameter_events'  # every rclpy node publishes on this topic
-_SIMULATED = 'payload', 'push', 'tilt', 'sensors'  # own topics of `inverse_dynamics simulate`
+_SIMULATED = 'payload', 'push', 'tilt', 'sensors'  # topics of `inverse_dynamics simulate`
 
 
 class Enclave(NamedTuple):
@@ -42,7 +42,7 @@ class Enclave(NamedTuple):
     path: str
     namespace: str
     node: str
-    """Name of the node. It has no effect, because all other names are absolute."""
+    """Name of the node; has no effect, because all other names are absolute."""
     subscribe: tuple[str, ...]
     publish: tuple[str, ...]
     reply: tuple[str, ...] = ()
@@ -60,8 +60,8 @@ def enclaves(
     """
     Return the enclaves of the node, its driver, `inverse_dynamics watch` and an operator.
 
-    `arguments` is the command line of the node, with its remap rules and parameters. The other
-    arguments are the topics and services that the node declares, before remapping.
+    `arguments` is the command line of the node. The topics and services are those of the node,
+    before remapping.
     """
     names = NodeNames(arguments)
     subscribed, published, services = tuple(subscribed), tuple(published), tuple(services)
@@ -104,7 +104,7 @@ def enclaves(
         'operator',
         subscribe=resolved((*published, *PUBLISHED_BY_ROS, *_ROBOT, *clock)),
         publish=(*resolved(inputs), '/rosout', _EVENTS),
-        # The nodes of `ros2`, and of programs that send references, may have any name.
+        # The nodes of `ros2` and of user programs may have any name.
         reply=tuple(f'/*/{name}' for name in _SERVICES_OF_EVERY_NODE),
         request=offered,
     )

@@ -1,9 +1,4 @@
-"""
-Resolves names with the ROS arguments of the node, and finds mistakes in the arguments.
-
-The mistakes are remap rules without effect, and parameter files that are missing or without
-effect.
-"""
+"""Remaps names, and finds remap rules and parameter files that have no effect."""
 
 from __future__ import annotations
 
@@ -24,7 +19,7 @@ LIFECYCLE_SERVICES = (
     '~/get_available_transitions',
     '~/get_transition_graph',
 )
-# Names that rcl creates, and lists only after remapping or not at all.
+# Names that rcl creates, but does not list under their original names.
 _RCL_NAMES = '/clock', *PUBLISHED_BY_ROS, *LIFECYCLE_SERVICES
 _PREFIX = re.compile(r'(rostopic|rosservice)://')
 _HOME = re.compile(r'/root/|/home/[^/]+/')
@@ -54,7 +49,7 @@ class NodeNames:
         return next((target for given, target in self._rules if self._own(given) in names), '')
 
     def _own(self, given: str) -> str:
-        """Return the name in a rule, without the prefix that names this node."""
+        """Remove the prefix that limits a rule to this node."""
         return given.removeprefix(f'{self.node}:')
 
     def _expanded(self, name: str) -> str:
@@ -131,7 +126,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Describe the parameter files that have no effect, because they are for other nodes only.
+    Describe the parameter files that contain parameters of other nodes only.
 
     `name` is the fully qualified name of the node. rcl must have accepted the command line.
     """
@@ -175,12 +170,11 @@ def _pattern(section: str) -> str:
 
 
 def _remaps(arguments: Sequence[str]) -> Iterator[str]:
-    """Find the remap rules among the ROS arguments."""
     return (rule for _, rule in _operands(arguments, '-r', '--remap'))
 
 
 def _operands(arguments: Sequence[str], *options: str) -> Iterator[tuple[int, str]]:
-    """Find the arguments that follow these ROS options; yield each argument with its index."""
+    """Yield the arguments that follow these ROS options, each with its index."""
     is_ros = is_operand = False
     for k, argument in enumerate(arguments):
         if is_operand:

@@ -28,10 +28,9 @@ _RENAMED = {'payload_transition_time': 'load_ramp'}
 
 def declare_parameters(node: Node) -> Configuration:
     """
-    Declare every parameter, with the values from the command line and parameter files.
+    Declare all parameters, and return the values from the command line and parameter files.
 
-    Return the checked values. Raise a ConfigurationError that names every unknown parameter and
-    every invalid value.
+    Raise a ConfigurationError that names every unknown parameter and every invalid value.
     """
     given = {name: parameter.value for name, parameter in _overrides(node).items()}
     locked = [name for name in given if name.startswith(f'{LOCKED}.')]
@@ -125,21 +124,20 @@ def unused_qos_overrides(node: Node) -> list[str]:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return all parameters from the command line and files by name, even if undeclared."""
-    # The public method declares them all, so that a mistyped name would become a parameter.
+    """Return the parameters from the command line and files by name, even if undeclared."""
+    # The public method would declare every name, even a mistyped name.
     overrides: dict[str, Any] = node._parameter_overrides
     return overrides
 
 
 def _declared(node: Node) -> list[str]:
-    """List the names of all declared parameters of a node."""
     names: list[str] = node.list_parameters([], ListParameters.Request.DEPTH_RECURSIVE).names
     return names
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     # Without dynamic typing, rclpy would reject 500 in place of 500.0. Parameter.check() checks
-    # types and ranges, because rclpy would check only the ranges of single numbers.
+    # types and ranges, because rclpy does not check the ranges of lists.
     descriptor = ParameterDescriptor(
         description=parameter.description,
         additional_constraints=f'expected {parameter.kind.expected}; {parameter.applies}',
@@ -176,7 +174,7 @@ def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _contradictions(checked: dict[str, Any]) -> list[str]:
-    """Describe valid values that cannot be combined, or cannot be used on this machine."""
+    """Describe valid values that contradict each other or this machine."""
     problems = []
     if checked.get('robot_description') and checked.get('robot_description_file'):
         problems.append('parameters robot_description and robot_description_file are both set')

@@ -1,4 +1,4 @@
-"""Steps the control loop on time, even during a stop and while too many messages arrive."""
+"""Steps the control loop on time, even during a stop or a flood of messages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _POLL_PERIOD = 0.0005  # [s]; between checks for a joint state during stop dampi
 _TIMEOUT = 0.1  # [s]; time-out of a spin that is not interrupted
 _PATIENCE = 0.03  # [s]; a spin that is this late is interrupted
 _CHECK_PERIOD = 0.05  # [s]; between checks for a late spin
-_SHORT_TIMEOUT = 0.01  # [s]; these three times apply while there are too many messages
+_SHORT_TIMEOUT = 0.01  # [s]; the three short times apply during a flood of messages
 _SHORT_PATIENCE = 0.005
 _SHORT_CHECK_PERIOD = 0.01
 
@@ -41,8 +41,8 @@ class LoopRunner:
     """
     Steps the control loop and publishes its commands.
 
-    The timers use `clock`. `now` returns the time of this clock [s]. `skip_ramp` returns whether
-    to cut the stop ramp short. `worker` reads robot descriptions.
+    `clock` drives the timers, and `now` returns the time of `clock` [s]. `skip_ramp` returns True
+    to end the stop ramp early. `worker` reads robot descriptions.
     """
 
     def __init__(
@@ -61,7 +61,6 @@ class LoopRunner:
         self._clock, self._skip_ramp = clock, skip_ramp
         self.now = now
         self.configuration = configuration
-        """The current values of all parameters."""
         self.loop: ControlLoop | None = None
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
@@ -71,7 +70,7 @@ class LoopRunner:
         self._timers: list[Timer] = []
 
     def configure(self, loop: ControlLoop) -> None:
-        """Use a compiled control loop, which stays inactive until `start`."""
+        """Prepare a control loop for `start`."""
         self.forget_robot()
         self.loop, configuration = loop, self.configuration
         self.monitor = Monitor(configuration.period)
@@ -89,9 +88,9 @@ class LoopRunner:
 
     def apply(self, configuration: Configuration, of_joint: Mapping[str, Floats]) -> None:
         """
-        Use changed parameters, and reset the watch timer to its shortest period.
+        Apply changed parameters.
 
-        `of_joint` is the result of `check_configuration`, and may be empty while there is no loop.
+        `of_joint` is the result of `check_configuration`, or empty if there is no loop.
         """
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
@@ -108,7 +107,7 @@ class LoopRunner:
         self._timers = []
 
     def load_description(self, description: str) -> None:
-        """Start to load a robot description, whose loop replaces the old loop once it is ready."""
+        """Start to load a robot description; its loop will replace the old loop."""
         self.loader.load(self.configuration, description)
         self._watch_after(self._watch_period)
 
@@ -121,13 +120,13 @@ class LoopRunner:
         self.log.begin()
         self.is_active = True
 
-    def reject(self, topic: str, reason: object) -> None:
-        """Count and log a message that cannot be used."""
+    def reject(self, topic: str, reason: object, what: str = 'message') -> None:
+        """Log and count a message that cannot be used, or the part `what` of the message."""
         self.monitor.reject(topic, shortened_lines(str(reason)))
-        self.log.report_message(topic, f'message dropped: {reason}')
+        self.log.report_message(topic, f'{what} dropped: {reason}')
 
     def enable(self, *, is_enabled: bool) -> None:
-        """Let the efforts rise, or ramp them down to zero and drop the reference."""
+        """Ramp the efforts up, or ramp the efforts down and drop the reference."""
         assert self.loop is not None
         if is_enabled:
             self.loop.controller.resume()
@@ -165,7 +164,7 @@ class LoopRunner:
         self.outputs.publish_command(self.loop, command.efforts, command.sent)
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
-        """Start a dry run, or end the dry run as soon as the commands are zero."""
+        """Start a dry run, or end the dry run if the commands are zero."""
         is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
         time_to_fall = loop.controller.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
@@ -194,7 +193,7 @@ class LoopRunner:
             self.log.warn('explanation', str(error))
 
     def catch_up(self) -> None:
-        """Do the work of the timers instead of the executor."""
+        """Do the work of the timers."""
         if self.configuration.period:
             self._on_timer()
         self._on_watch()
@@ -210,7 +209,7 @@ class LoopRunner:
             self.step(self.now())
 
     def _on_watch(self) -> None:
-        """Step if joint states are missing or lost, or if a ramp down needs further steps."""
+        """Step if joint states are missing, or if the efforts must fall without joint states."""
         if self.loop is None:  # the event was queued before its timer was destroyed
             return
         self._switch_loop()
@@ -227,13 +226,13 @@ class LoopRunner:
                 if not 0.0 <= now - self._last_step < self._watch_period:
                     self.step(now)
             elif not self.loader.is_loading:
-                # An earlier check would find no loss, and would take as long as a short step.
+                # An earlier check cannot find a loss, and takes as long as a short step.
                 wait = max(wait, min(state.time + timeout - now, _MAX_WATCH_PERIOD))
         self._watch_after(wait)
 
     @property
     def _must_fall(self) -> bool:
-        """Whether the commands must fall to zero, with or without further joint states."""
+        """Whether the commands must fall to zero even if no joint states arrive."""
         assert self.loop is not None
         if self.loop.dry_run.is_active or self.configuration.dry_run:
             return self.loop.dry_run.has_sent
@@ -242,20 +241,20 @@ class LoopRunner:
         return not is_computing and controller.has_effort
 
     def _watch_after(self, wait: float) -> None:
-        """Set the period of the watch timer [s]; restart the timer if the period has changed."""
+        """Set the period of the watch timer to `wait` [s]."""
         period = round(wait * 1e9)
         if period != self._watch.timer_period_ns:
             self._watch.timer_period_ns = period
             self._watch.reset()
 
     def _switch_loop(self) -> None:
-        """Switch to the loop of a new robot description that has been read and can be used."""
+        """Switch to the loop of a new robot description once the description has been read."""
         assert self.loop is not None
         if not self.loader.poll():
             return
         try:
             loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
-        except Exception as error:  # any error in the process that has read the description
+        except Exception as error:  # any error of the worker
             self._node.get_logger().error(
                 f'kept the old robot description, because the new one cannot be used: {error}'
             )
@@ -269,10 +268,9 @@ class LoopRunner:
 
     def ramp_down(self, reason: str, read_joint_state: Callable[[], None]) -> None:
         """
-        Publish falling efforts, then zeros, within one callback: nothing else runs meanwhile.
+        Ramp the efforts down to zero, and publish zeros; nothing else runs meanwhile.
 
-        `reason` is for the log. `read_joint_state` handles the latest joint state, if any has
-        arrived.
+        `reason` is for the log. `read_joint_state` handles the latest joint state.
         """
         assert self.loop is not None
         self.is_active = False
@@ -319,7 +317,7 @@ class LoopRunner:
             damping.end(f'an error in the program: {error!r}')
 
     def _report_damping(self, loop: ControlLoop) -> None:
-        """If stop damping has ended, report why."""
+        """Log why the stop damping has ended."""
         report = loop.controller.stop_damping.report
         if not report:
             return
@@ -333,13 +331,12 @@ class LoopRunner:
 
 class Watchdog:
     """
-    Spins an executor; each spin ends in time, even if the event queue never becomes empty.
+    Spins an executor, and ends each spin in time even if the event queue is never empty.
 
-    The EventsExecutor of rclpy queues one event for each message that arrives, and timers queue
-    behind these events. The time-out of a spin applies only if the queue is empty. Therefore a
-    thread ends the spin between two events, and the caller does all overdue work. The events stay
-    in the queue. A new executor would drop the events, but then services of rclpy 7.1 would no
-    longer answer.
+    The EventsExecutor of rclpy queues an event for each message, and timers wait behind the
+    messages. A spin checks its time-out only if the queue is empty. Therefore a thread ends the
+    spin between two events, and the caller does all overdue work. The events stay in the queue.
+    Do not replace the executor to drop events: services of rclpy 7.1 would then stop answering.
     """
 
     def __init__(self) -> None:
@@ -352,7 +349,7 @@ class Watchdog:
         self._thread.start()
 
     def spin(self, executor: Any) -> None:
-        """Let an executor handle events for a limited time, less than 0.2 s."""
+        """Let an executor handle events for less than 0.2 s."""
         timeout, patience = (
             (_SHORT_TIMEOUT, _SHORT_PATIENCE) if self.is_congested else (_TIMEOUT, _PATIENCE)
         )

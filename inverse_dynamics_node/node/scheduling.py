@@ -30,7 +30,7 @@ _HINT = (
 
 @functools.cache
 def available_cpus() -> frozenset[int]:
-    """Return the numbers of the CPUs that the process could use at the first call."""
+    """Return the CPUs that the process could use at the first call of this function."""
     return frozenset(os.sched_getaffinity(0))
 
 
@@ -45,10 +45,10 @@ class Scheduling:
     """
     Gives the control loop and the middleware precedence over other programs.
 
-    Create this object in the thread of the control loop, before the worker and the node. Threads
-    that were started earlier, such as those of numerical libraries and of the log, keep normal
-    priority. All threads of the middleware get real-time priority, because each may hold a lock
-    that the loop waits for. A new thread inherits the priority of the thread that starts it.
+    Create this object in the thread of the control loop, before the worker and the node. Earlier
+    threads, such as those of numerical libraries and the log, keep normal priority. Threads of
+    the middleware get real-time priority, because the loop may wait for their locks. A new thread
+    inherits the priority of its parent thread.
     """
 
     def __init__(self) -> None:
@@ -67,10 +67,10 @@ class Scheduling:
         """
         Set the priority and the CPUs of the threads, and lock the memory.
 
-        `priority` is the priority in SCHED_FIFO, from 1 to 99. If `cpus` is empty, every CPU
-        may be used. `watchdog` is the native id of the watchdog thread. This thread gets a higher
-        priority than the loop, so that it runs even if the loop never sleeps. Return whether
-        everything was permitted, and one line for the log.
+        `priority` is the SCHED_FIFO priority of the loop, from 1 to 99. If `cpus` is empty, every
+        CPU may be used. `watchdog` is the native id of the watchdog thread. The watchdog gets a
+        higher priority than the loop, because the loop may never sleep. Return whether everything
+        was permitted, and one line for the log.
         """
         problems, done = [], []
         self._priority, self._watchdog, self._problem = priority, watchdog, ''
@@ -100,11 +100,11 @@ class Scheduling:
         return not problems, '; '.join([*done, *problems, *([_HINT] if problems else [])])
 
     def _threads(self) -> list[int]:
-        """Return the ids of the threads of the loop, the watchdog, the middleware and rclpy."""
+        """Return the ids of the threads that get real-time priority."""
         return [tid for tid in _thread_ids() if tid not in self._others]
 
     def _set_priority(self, priority: int) -> None:
-        """Set the priority in SCHED_FIFO; 0 stands for normal priority."""
+        """Set the SCHED_FIFO priority of the threads; 0 means normal priority."""
         for tid in self._threads():
             with contextlib.suppress(ProcessLookupError):  # the thread has just ended
                 is_watchdog = priority and tid == self._watchdog
@@ -129,9 +129,9 @@ class Scheduling:
         """
         Give the threads normal priority while the process needs almost all of a CPU.
 
-        Call this method regularly. Return a report for the log after a change of priority,
-        otherwise an empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of
-        its CPU to other programs: enough to stop the loop from a terminal, but not for other work.
+        Call this method regularly. Return a log text after a change of priority, otherwise an
+        empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of the CPU to
+        other programs.
         """
         duration = time.monotonic() - self._began
         if duration < (_WINDOW if self._is_realtime else _CALM_WINDOW):
@@ -156,7 +156,7 @@ class Scheduling:
         self._began, self._cpu_time = time.monotonic(), time.process_time()
 
     def status(self) -> SchedulingStatus:
-        """Return the policy and the priority of the loop as the kernel reports them."""
+        """Return the scheduling of the loop as reported by the kernel."""
         return SchedulingStatus(
             level=Level.WARN if self._problem else Level.OK,
             message=self._problem or 'real-time priority',
@@ -169,7 +169,7 @@ class Scheduling:
 
 
 def lock_memory() -> str:
-    """Lock each memory page at its first use; return a log text. Raise an OSError on failure."""
+    """Lock each memory page at its first use, and return a log text, or raise an OSError."""
     libc = ctypes.CDLL(None, use_errno=True)
     _, limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))

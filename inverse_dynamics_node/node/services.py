@@ -53,7 +53,7 @@ class Services:
 
 
 def describe_robot(loop: ControlLoop) -> str:
-    """Describe the robot and, if its pose is known, the efforts that hold this pose."""
+    """Describe the robot and, if its pose is known, the efforts that hold the pose."""
     missing = loop.missing()
     if missing:
         return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'
@@ -71,13 +71,13 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     """
     Catch errors in the services and subscriptions that rclpy has created.
 
-    The executor of rclpy 7.1 raises an error for a parameter of an unknown type, a time before
-    zero on /clock, or a lifecycle transition that is not possible now. The executor would
-    continue after the error, but the client would wait forever for an answer.
+    In rclpy 7.1, a parameter of an unknown type, a negative time on /clock or an impossible
+    lifecycle transition raises an error in the executor. The executor would continue, but the
+    client would wait forever for an answer.
 
-    Call this function before the node creates its own services and subscriptions, whose errors
-    must not be hidden. `keep_up` is called after every request, because many requests may be
-    waiting, and each request takes as long as several steps of the loop.
+    Call this function before the node creates its own services and subscriptions, because their
+    errors must not be hidden. `keep_up` is called after every request, because a request takes as
+    long as several steps of the loop.
     """
     for service in node.services:
         callback = service.callback
@@ -121,7 +121,7 @@ def _set_all(node: LifecycleNode, request: Any, response: Any) -> Any:
 
 
 def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
-    """Set parameters together, as rclpy does, or return why a parameter cannot be set."""
+    """Set all parameters or none, and return the result."""
     reason = _problem(node, parameters)
     if reason:
         return SetParametersResult(reason=reason)
@@ -129,7 +129,7 @@ def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
 
 
 def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
-    """Return why parameters cannot be set; unlike in rclpy 7.1, name an unknown parameter."""
+    """Return why parameters cannot be set; rclpy 7.1 would not name an unknown parameter."""
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
             return (

@@ -1,4 +1,4 @@
-"""Publishes the status of the node on ``/diagnostics``, and logs problems in the status."""
+"""Publishes the status of the node on ``/diagnostics``, and logs its problems."""
 
 from __future__ import annotations
 

@@ -34,17 +34,17 @@ class Filled(NamedTuple):
     data: bytes
     """The serialized message with the efforts."""
     notes: tuple[str, ...]
-    """Descriptions of the quantities that had to be derived."""
+    """Descriptions of the quantities that were derived from other quantities."""
     beyond: list[str]
     """Joints whose efforts exceed their limits."""
 
 
 def fill(loop: ControlLoop, data: bytes) -> Filled:
     """
-    Compute the efforts for a serialized trajectory, which may contain any joints of the robot.
+    Compute the efforts for a serialized trajectory of any joints of the robot.
 
-    The loop provides the dynamics, and the positions of joints that are not in the trajectory.
-    Raise a TrajectoryError if the trajectory cannot be used.
+    The loop provides the positions of all other joints. Raise a TrajectoryError if the trajectory
+    cannot be used.
     """
     message = deserialize_trajectory(data)
     trajectory, notes = complete(_read_trajectory(message))
@@ -76,20 +76,20 @@ class TrajectoryFiller:
         reject: Callable[[Exception], None],
     ) -> None:
         """
-        Queue a serialized trajectory, which is published with efforts once they are computed.
+        Queue a serialized trajectory for the computation of its efforts.
 
         The worker gets a copy of the loop in its present state. `reject` is called later if the
-        trajectory cannot be used. If `is_active`, a long trajectory is refused, because it
-        would delay commands. Raise a TrajectoryError if the trajectory is too long, too many
-        trajectories wait, or nobody subscribes to the results.
+        trajectory cannot be used. Raise a TrajectoryError if nobody subscribes to the results, or
+        if too many trajectories wait. Also raise the error if `is_active` and the trajectory is
+        so long that it would delay commands.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
         if is_active and len(data) > _MAX_SIZE:
             raise TrajectoryError(
                 f'the trajectory has {len(data)} bytes, expected at most {_MAX_SIZE} while the '
-                'node is active: no commands are sent while the node receives or publishes a '
-                'trajectory. Deactivate the node first, or split the trajectory'
+                'node is active, because a long trajectory delays commands: deactivate the '
+                'node first, or split the trajectory'
             )
         if len(self._waiting) >= _MAX_WAITING:
             raise TrajectoryError(f'{_MAX_WAITING} trajectories already wait for their efforts')
@@ -106,7 +106,7 @@ class TrajectoryFiller:
     def _finish(self, future: Future[Filled], reject: Callable[[Exception], None]) -> None:
         try:
             filled = future.result()
-        except Exception as error:  # any error in the other process, or its end
+        except Exception as error:  # any error in the other process
             reject(error)
             return
         for note in filled.notes:
@@ -126,7 +126,6 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
 
 
 def _read_trajectory(message: JointTrajectory) -> Trajectory:
-    """Convert a message to a `Trajectory`."""
     names, points = tuple(message.joint_names), message.points
 
     def read(what: str) -> Floats | None:
@@ -136,8 +135,8 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
             return None
         if lengths != {len(names)}:
             raise TrajectoryError(
-                f'points have {", ".join(map(str, sorted(lengths)))} {what}, expected '
-                f'{len(names)} at each point, or none'
+                f'points have {" or ".join(map(str, sorted(lengths)))} {what}, expected '
+                f'{len(names)} at every point, or at no point'
             )
         return np.array(rows, dtype=np.float64)
 
@@ -152,7 +151,7 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
 def _write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
-    """Return a new message with the efforts, and with the header and the times of `message`."""
+    """Return the trajectory as a message with efforts, and with header and times of `message`."""
     result = JointTrajectory(header=message.header, joint_names=message.joint_names)
     rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
     result.points = [

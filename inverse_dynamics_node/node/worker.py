@@ -28,20 +28,20 @@ class Worker:
     """
     Calls functions one at a time in a child process.
 
-    A thread that reads a message or an XML file would hold the global interpreter lock for
-    milliseconds, and the control loop would have to wait. On a busy machine the loop would wait
-    even longer, because the scheduler may interrupt a normal-priority thread that holds the lock.
+    The control loop would have to wait for a thread that reads a message or an XML file, because
+    such a thread holds the global interpreter lock for milliseconds. On a busy machine, the
+    scheduler may also interrupt the thread while the thread holds the lock.
 
-    The child process is a copy of this process. Create the worker before the node, so that the
-    copy contains no ROS entities. Create the worker after the imports, so that both processes
-    share the memory of the libraries. Create `Scheduling` before the worker, so that the threads
-    of the worker in this process, which take the same lock, get the priority of the loop. Without
-    `has_process`, or if the child process has ended, a thread does the work.
+    The child process is a copy of this process. Create the worker after the imports, so that the
+    processes share the memory of the libraries. Create the worker before the node, so that the
+    copy contains no ROS entities. Create `Scheduling` before the worker, so that the threads of
+    the worker in this process get the priority of the loop. A thread does the work if
+    `has_process` is false or the child process has ended.
     """
 
     def __init__(self, has_process: bool = False) -> None:
         self.problem = ''
-        """Why the child process could not be created; empty if there is no problem."""
+        """Why the child process could not be created, or an empty text."""
         self._executor: Executor = ThreadPoolExecutor(1, 'worker')
         if has_process:
             try:
@@ -51,16 +51,15 @@ class Worker:
                 self._executor = pool
             except OSError as error:  # a limit on processes or on memory
                 self.problem = (
-                    f'there is no process for long work ({error}): a thread does this work, and '
-                    'delays the commands'
+                    f'there is no process for long work ({error}): a thread does the work, and '
+                    'delays commands'
                 )
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """
-        Schedule a call of a module-level function, whose arguments are pickled now.
+        Schedule a call of a module-level function, and pickle the arguments now.
 
-        Another thread completes the future. The caller must check regularly whether the future is
-        done.
+        Poll the future, because its callbacks would run in another thread.
         """
         request = pickle.dumps((function, arguments))
         try:
@@ -71,7 +70,7 @@ class Worker:
 
 
 def prepare_to_load() -> None:
-    """Import the modules for loading a robot, so that the child process shares them."""
+    """Import the modules that load a robot; call this function before `Worker`."""
     with contextlib.suppress(ImportError):  # reported when a description is loaded
         import scipy.interpolate  # noqa: F401
         import yourdfpy  # noqa: F401

@@ -1,4 +1,4 @@
-"""Writes the result of a live comparison of model and robot in one or two sentences."""
+"""Describes the result of a live comparison in one or two sentences."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MOST_NAMES = 4
 
 
 def sentence(agreement: Agreement) -> str:
-    """Say whether model and robot agree, and if not, why; omit the final full stop."""
+    """Say whether and why model and robot differ, without the final full stop."""
     if agreement.obstacle is not None:
         return _OBSTACLES[agreement.obstacle](agreement)
     if agreement.faults:
@@ -22,7 +22,7 @@ def sentence(agreement: Agreement) -> str:
 
 
 def _differ(agreement: Agreement) -> str:
-    """Describe the faults in the words of `compare`, and say what to do about the first fault."""
+    """Describe all faults, and give advice on the first fault."""
     parts = [*map(_headline, agreement.faults), _sizes(agreement)]
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
@@ -32,7 +32,7 @@ def _differ(agreement: Agreement) -> str:
 
 
 def _headline(fault: Fault) -> str:
-    """Return the headline of a fault; for a payload, add its centre of mass if it is known."""
+    """Return the headline of a fault, with the centre of mass of a payload if it is known."""
     text = headline(fault)
     if fault.kind is not FaultKind.PAYLOAD or all(map(math.isnan, fault.values[1:])):
         return text
@@ -108,7 +108,7 @@ def _size(size: Size) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """Write a number with two significant digits; keep all digits before the decimal point."""
+    """Write a number with two significant digits, but at most three decimals."""
     if not math.isfinite(value) or value == 0.0:
         return '0' if value == 0.0 else '-'
     digits = max(0, 1 - math.floor(math.log10(abs(value))))

@@ -1,4 +1,4 @@
-"""The report of `compare`: a verdict, and tables of efforts and friction."""
+"""Formats the results of `inverse_dynamics compare` as a verdict and tables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..analysis.diagnosis import ComparisonResult, JointResidual
 from .diagnosis_text import amount, sentence
 from .tables import motion_notes, Table, with_error
 
-AT_NOISE = 1.5  # a residual below this multiple of the noise may consist of noise only
+AT_NOISE = 1.5  # a residual below this multiple of the noise may be noise only
 
 
 def verdict(result: ComparisonResult) -> str:
@@ -44,7 +44,7 @@ def verdict(result: ComparisonResult) -> str:
 
 
 def _total(result: ComparisonResult, name: str) -> str:
-    """Write the RMS over the moving joints: one for revolute and one for prismatic joints."""
+    """Write the RMS over the moving revolute joints, and over the moving prismatic joints."""
     texts = []
     for is_prismatic in (False, True):
         values = [
@@ -59,7 +59,7 @@ def _total(result: ComparisonResult, name: str) -> str:
 
 
 def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
-    """Return measured and modelled efforts and the residuals, one row per joint."""
+    """Return measured efforts, modelled efforts and residuals, one row per joint."""
     motion, rows = result.motion, [_row(joint) for joint in result.joints]
     duration = motion.times[-1] - motion.times[0]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
@@ -97,7 +97,7 @@ def _row(joint: JointResidual) -> tuple[str, ...]:
 
 
 def friction_table(result: ComparisonResult) -> Table:
-    """Return the fitted friction and its standard errors, one row per joint."""
+    """Return the fitted friction and the standard errors, one row per joint."""
     has_shape = any(joint.friction.has_shape for joint in result.joints)
     rows = []
     for joint in result.joints:
@@ -136,10 +136,10 @@ def friction_table(result: ComparisonResult) -> Table:
 
 
 def percent(fraction: float) -> str:
-    """Write a fraction as a percentage; NaN becomes a dash."""
+    """Write a fraction as a percentage, or a dash for NaN."""
     if math.isnan(fraction):
         return '-'
-    # Values near 100 % get more digits; strongly negative values are not written out.
+    # Values near 100 % get more digits.
     if fraction < -9.99:
         return '<-999%'
     if fraction > 0.9999:

@@ -1,4 +1,4 @@
-"""Describes faults in a recording, with a headline, evidence and advice for each fault."""
+"""Describes each fault in a recording by a headline, evidence and advice."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOST_CHANGES = 3  # largest number of joints whose residuals are listed
 
 
 def headline(fault: Fault) -> str:
-    """Summarize a fault in one clause that starts with a small letter or the name of a joint."""
+    """Summarize a fault in one clause, without an initial capital letter or a full stop."""
     text = _HEADLINES[fault.kind](fault)
     if fault.interval is None:
         return text
@@ -30,7 +30,7 @@ def sentence(fault: Fault) -> str:
 
 
 def diagnosis_warning(fault: Fault) -> ModelWarning:
-    """Describe a fault as a warning; its hint suggests options for the next run."""
+    """Return a fault as a warning with evidence and advice."""
     again = _options(fault)
     hint = advice(fault)
     if again:
@@ -40,12 +40,12 @@ def diagnosis_warning(fault: Fault) -> ModelWarning:
 
 
 def advice(fault: Fault) -> str:
-    """Return sentences that say what to do about a fault."""
+    """Return advice on a fault."""
     return _ADVICE[fault.kind](fault)
 
 
 def _options(fault: Fault) -> str:
-    """Return the options that make `compare` allow for the fault, or an empty text."""
+    """Return the options of `compare` that correct the fault, or an empty text."""
     if fault.interval is not None:
         return f'--from {fault.interval[0]:.1f} --to {fault.interval[1]:.1f}'
     numbers = [0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in fault.values]
@@ -171,7 +171,7 @@ _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_I
 
 
 def _changes(fault: Fault) -> str:
-    """Say how much correction of the fault reduces the residuals, with friction always fitted."""
+    """Describe how far a correction of the fault reduces the residuals."""
     changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''
@@ -407,5 +407,5 @@ def amount(effort: float, is_prismatic: bool) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Join names with commas, and the last one with 'and'."""
+    """Join names with commas, and the last name with 'and'."""
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'

@@ -1,4 +1,4 @@
-"""Tables of an excitation motion and of the expected standard errors."""
+"""Formats tables of an excitation motion and of the expected standard errors."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def excitation_tables(
     box: Extent,
 ) -> list[Table]:
     """
-    Describe an excitation motion and the standard errors to expect from a recording.
+    Return tables of an excitation motion and of the expected standard errors.
 
-    `trajectory` is the written motion, which may be slower than planned. `efforts` contains the
-    modelled efforts, shape (points, joints) [N m or N]. `box` encloses the moving links in all
+    `trajectory` is the written motion, which may be slower than `excitation`. `efforts` contains
+    the modelled efforts, shape (points, joints) [N m or N]. `box` encloses the moving links in all
     poses.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
@@ -80,7 +80,7 @@ def _motion(
 
 
 def _distances(excitation: Excitation) -> list[str]:
-    """Say how close the links come to each other, to the floor and to the boxes."""
+    """Describe the smallest distances between links, to the floor and to boxes."""
     kinds: dict[str, list[Nearest]] = {'floor': [], 'box': [], 'links': []}
     for each in excitation.nearest:
         kinds[each.names[1] if each.names[1] in kinds else 'links'].append(each)

@@ -1,4 +1,4 @@
-"""The report of `identify`: tables of residuals, friction and masses, and values for JSON."""
+"""Formats the results of `inverse_dynamics identify` as tables and JSON."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ..errors import significant
 from .tables import motion_notes, Table, with_error
 
 DETERMINED = 0.5
-"""A mass is determined if this fraction of the information about the mass is recorded."""
+"""A mass is determined if recordings provide this fraction of the information."""
 NOTED_CHANGE = 0.1
-"""An undetermined mass gets a note if it changes by more than this fraction."""
+"""Relative change above which an undetermined mass gets a note."""
 
 
 def residual_table(result: IdentificationResult) -> Table:
@@ -150,7 +150,7 @@ def body_table(result: IdentificationResult) -> Table:
 
 
 def _follows_others(body: BodyResult) -> bool:
-    """Return whether a mass changed although the recordings hardly determine it on its own."""
+    """Return whether a mass changed although the recordings hardly determine this mass."""
     change = abs(body.mass - body.mass_before) / body.mass_before
     return body.data_fraction < DETERMINED and change > NOTED_CHANGE
 
@@ -187,7 +187,7 @@ def _millimetres(position: object) -> str:
 
 
 def as_json(result: IdentificationResult) -> dict[str, Any]:
-    """Return values for JSON; lengths are in m, masses in kg, and efforts in N m or N."""
+    """Return values for JSON [m, kg, N m or N]."""
     report: dict[str, Any] = _plain(
         {
             'robot': result.robot.name,
@@ -245,7 +245,7 @@ def _joint(joint: JointResult) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Convert values to the types of JSON; numbers that are not finite become null."""
+    """Convert values to the types of JSON, and numbers that are not finite to None."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

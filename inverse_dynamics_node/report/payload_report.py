@@ -1,4 +1,4 @@
-"""The report of `payload`: a sentence, a table, a message for the node, and values for JSON."""
+"""Formats the results of `inverse_dynamics payload` as text, tables and JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WITHOUT_EMPTY = (
 
 
 def verdict(result: PayloadEstimate) -> str:
-    """Say what the link carries, in one or two sentences."""
+    """Describe the payload in one or two sentences."""
     mass = f'{with_error(result.body.mass, result.mass_error)} kg'
     if not result.is_certain:
         return (
@@ -40,7 +40,7 @@ def verdict(result: PayloadEstimate) -> str:
 def payload_table(
     result: PayloadEstimate, robot: RobotModel, apparent: PayloadEstimate | None
 ) -> Table:
-    """Return the efforts of the payload and the residuals; the notes describe the recordings."""
+    """Return the RMS efforts of the payload and the RMS residuals, one row per joint."""
     rows = []
     for name, measured, left in zip(
         result.joint_names, rms(result.fitted), rms(result.residuals), strict=True
@@ -65,7 +65,7 @@ def payload_table(
 
 
 def inertia_table(result: PayloadEstimate) -> Table:
-    """Return the mass and the centre of mass, with their standard errors."""
+    """Return the mass and the centre of mass, with standard errors."""
     rows = [('mass [kg]', with_error(result.body.mass, result.mass_error))]
     rows += [
         (f'{axis} [mm]', 'unknown' if axis in result.unknown else with_error(1e3 * x, 1e3 * error))
@@ -85,7 +85,7 @@ def topic_command(result: PayloadEstimate, node: str) -> str:
 
 
 def inertial_element(result: PayloadEstimate) -> str:
-    """Return the payload as an element of a URDF, in the frame of the link."""
+    """Return the payload as an <inertial> element of the link in a URDF."""
     mass, com, inertia = result.body
     origin = ' '.join(f'{x:.4f}' for x in com)
     moments = ' '.join(f'{name}="{value:.4g}"' for name, value in _moments(inertia))

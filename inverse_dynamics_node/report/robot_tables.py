@@ -32,13 +32,13 @@ def model_tables(
     effort_limits: ArrayLike | None = None,
 ) -> list[Table]:
     """
-    Describe the robot and the loads on it.
+    Return tables of the masses, joints and limits of a robot.
 
-    `joints` are the commanded joints, in the order of the commands (default: all joints, in the
-    order of the robot). If positions q of all joints [rad or m] are given, a table shows the
-    gravity efforts in this pose. By default, the effort limits of the commanded joints [N m or N]
-    are those of the URDF. Raise ConfigurationError if a joint does not exist or the number of
-    limits is wrong, and JointStateError if q has a wrong shape or is not finite.
+    `joints` are the commanded joints in the order of the commands, by default all joints. With
+    positions `q` of all joints [rad or m], a table shows the gravity efforts in this pose.
+    `effort_limits` are the limits of the commanded joints [N m or N], by default the limits of the
+    URDF. Raise ConfigurationError if a joint does not exist or the number of limits is wrong.
+    Raise JointStateError if q has a wrong shape or is not finite.
     """
     robot = dynamics.robot
     commanded = tuple(joints) or robot.joint_names
@@ -57,7 +57,7 @@ def model_report(
     q: ArrayLike | None = None,
     effort_limits: ArrayLike | None = None,
 ) -> str:
-    """Return the tables of `model_tables` and the warnings, at most 100 columns wide."""
+    """Return the tables of `model_tables` and the warnings, at most 100 characters wide."""
     tables = model_tables(dynamics, joints, q, effort_limits)
     warnings = warnings_about(dynamics.robot)
     return '\n\n'.join([*map(as_text, tables), warnings_as_text(warnings)])
@@ -102,8 +102,9 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
     ]
     followers: dict[str, list[str]] = {}
     notes = [
-        'Axis: in the frame of the joint. From, to [rad, m], speed [rad/s, m/s] and effort '
-        '[N m, N]: limits; "-" means no limit. Mass: all links between this joint and the next.'
+        'Axis: in the frame of the joint. Limits: positions from, to [rad, m], speed [rad/s, m/s] '
+        'and effort [N m, N]; "-" means no limit. Mass: all links between this joint and the next '
+        'joint.'
     ]
     for body in range(1, len(robot.parent)):
         name, joint = robot.body_names[body], int(robot.joint_index[body])
@@ -179,7 +180,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
 def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
-    """Return the limits of all joints; `effort_limits` are the limits of commanded joints."""
+    """Return the effort limits of all joints; `effort_limits` belongs to commanded joints."""
     indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:
@@ -201,12 +202,12 @@ def _axis(axis: Floats) -> str:
 
 
 def _branches(parent: Integers) -> list[str]:
-    """Return the prefixes that draw the tree; branches are indented, but chains are not."""
+    """Return the characters that draw a tree in front of the names. Chains are not indented."""
     children: list[list[int]] = [[] for _ in parent]
     for body in range(1, len(parent)):
         children[int(parent[body])].append(body)
     first = [''] * len(parent)  # tree lines in front of the name of each body
-    below = [''] * len(parent)  # tree lines in front of the names of its descendants
+    below = [''] * len(parent)  # tree lines in front of the names of all descendants
     for body, group in enumerate(children):
         for child in group:
             is_last = child == group[-1]

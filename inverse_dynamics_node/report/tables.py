@@ -1,8 +1,8 @@
 """
 Formats tables, warnings, numbers and units as text.
 
-A table contains strings only. Logs and services show tables as plain text, and a terminal shows
-the same lines in colours.
+A table contains only strings. Logs and services show tables as plain text. A terminal shows the
+same lines in colours.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 WIDTH = 100
 """Largest width of a report, in characters."""
 SHORTEST_NAME = 12
-"""A shortened name has at least this number of characters."""
+"""Smallest number of characters of a shortened name."""
 _GAP = '  '
 
 
 class Table(NamedTuple):
-    """A title, rows and notes; a table without rows consists of its title and its notes."""
+    """A title, rows and notes."""
 
     title: str
     columns: tuple[str, ...] = ()
-    """Titles of the columns; the first column contains names, which may be shortened."""
+    """Titles of the columns. The first column contains names, which may be shortened."""
     rows: tuple[tuple[str, ...], ...] = ()
     notes: tuple[str, ...] = ()
     words: frozenset[int] = frozenset()
-    """Indices of columns (besides the first) that contain words and are aligned to the left."""
+    """Indices of other columns that contain words and are aligned to the left."""
     marked: frozenset[int] = frozenset()
     """Indices of the rows that need attention, such as a joint beyond a limit."""
 
@@ -65,7 +65,7 @@ class Line(NamedTuple):
 
 
 def as_text(table: Table, whole_names: bool = False) -> str:
-    """Format a table as plain text without a final line end; see `table_lines`."""
+    """Format a table as plain text without a final line end."""
     return '\n'.join(line.text for line in table_lines(table, WIDTH, whole_names))
 
 
@@ -73,8 +73,8 @@ def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> 
     """
     Format a table in lines of at most `width` characters.
 
-    With `whole_names`, no name is shortened, and lines can be longer than `width`. Use this option
-    if a program reads the lines.
+    With `whole_names`, names are not shortened, so that programs can read the names. Lines can
+    then be longer than `width`.
     """
     lines = [Line(escaped(table.title), Style.TITLE)]
     if table.rows:
@@ -88,7 +88,7 @@ def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> 
 
 
 def wrapped(text: str, width: int, first: str = '', rest: str = '') -> list[str]:
-    """Wrap a paragraph between words; names and numbers with hyphens are not divided."""
+    """Wrap a paragraph between words, but not at hyphens."""
     return textwrap.wrap(
         text,
         width,
@@ -100,7 +100,7 @@ def wrapped(text: str, width: int, first: str = '', rest: str = '') -> list[str]
 
 
 def _aligned(table: Table, width: float) -> list[str]:
-    """Return the line of column titles and one line for each row."""
+    """Return a line of column titles, and one line for each row."""
     cells = [tuple(map(escaped, row)) for row in (table.columns, *table.rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(table.columns))]
     spare = width - sum(widths[1:]) - len(_GAP) * (len(widths) - 1)
@@ -152,7 +152,7 @@ def warning_lines(warnings: Sequence[ModelWarning], width: int = WIDTH) -> list[
 
 
 def all_shortened(names: Sequence[str], size: int) -> list[str]:
-    """Shorten names so that they remain distinct; a common prefix is dropped first."""
+    """Shorten names so that different names remain different."""
     short = [shortened(name, size) for name in names]
     if len(set(short)) == len(set(names)):
         return short
@@ -164,7 +164,7 @@ def all_shortened(names: Sequence[str], size: int) -> list[str]:
     for first in (size // 3, size // 4, 2 * size // 3, 1):
         if len(set(short)) == len(set(names)):
             break
-        # Names of several branches differ at both ends: keep more of one end.
+        # Names may differ at both ends, so keep more of one end.
         rest = size - 1 - first
         short = [n if len(n) <= size else f'{n[:first]}…{n[len(n) - rest :]}' for n in names]
     return short
@@ -198,24 +198,24 @@ def kind_of(robot: RobotModel, body: int) -> str:
 
 
 def effort_unit(robot: RobotModel, joint: int) -> str:
-    """Return the unit of a joint's effort, padded to a common length."""
+    """Return the unit of an effort, padded to three characters."""
     return 'N  ' if robot.is_prismatic_joint[joint] else 'N m'
 
 
 def number(value: float) -> str:
-    """Write a limit; an infinite limit becomes a dash."""
+    """Write a limit, or a dash for an infinite limit."""
     if not math.isfinite(value):
         return '-'
     return f'{value:.0f}' if 1e4 <= abs(value) < 1e7 else f'{value:.4g}'
 
 
 def fraction(effort: float, limit: float) -> str:
-    """Write the ratio of an effort to its limit as a percentage; without a limit, write a dash."""
+    """Write an effort as a percentage of its limit, or a dash without a limit."""
     return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
 
 
 def decimals(values: Floats) -> int:
-    """Return the number of decimals, 1 to 6, that shows four digits of the largest value."""
+    """Return the number of decimals (1 to 6) that show four digits of the largest value."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
@@ -241,9 +241,9 @@ def motion_notes(motion: Motion) -> list[str]:
         )
     if math.isfinite(motion.cut_off):
         notes.append(
-            f'the efforts contain no signal and no noise above about {motion.cut_off:.0f} Hz: '
-            'they passed a low-pass filter before they were recorded (or the efforts were '
-            'computed without noise). This filter distorts the friction at reversals; record the '
-            'efforts of the driver without a filter'
+            f'above about {motion.cut_off:.0f} Hz, the efforts contain neither signal nor noise: '
+            'either a low-pass filter acted before the recording, or the efforts were computed '
+            'without noise. A filter distorts the friction at reversals; record the efforts of '
+            'the driver without a filter'
         )
     return notes

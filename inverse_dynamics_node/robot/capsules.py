@@ -19,40 +19,40 @@ from .model import Floats, Integers, RobotModel
 from .urdf.shapes import Shape
 
 ASSUMED_RADIUS = 0.05
-"""Radius of capsules around bodies without a shape, per length of the longest chain."""
+"""Assumed radius of a body without a shape, as a fraction of the longest chain."""
 _SPACING = (0.008, 0.0125)
-"""Spacing of surface points: the larger of a length [m] and a fraction of the longest side."""
+"""Spacing of surface points: least value [m], and fraction of the longest side of a shape."""
 _CELLS = 120
 """Number of cells along the longest side of a shape; vertices in the same cell are merged."""
 _SMALLEST = 1e-6
-"""Length [m] that is assumed for smaller shapes, such as points."""
+"""Assumed longest side of a point [m], because a cell must not have size 0."""
 _DEPTH = 3
 """Largest number of successive cuts of a shape."""
 _PRICE = 0.04
-"""Required saving per additional capsule, as a fraction of the size of a single capsule."""
+"""Least saving per cut, as a fraction of the size of the uncut shape."""
 _CUTS = (0.35, 0.65)
 _STEPS = 10
 """Number of steps in the search for the centre line of a capsule."""
 
 
 _Row = tuple[int, Floats, float, Floats]
-"""A body, the ends and the radius of a capsule, and the surface points in the capsule."""
+"""Body, ends, radius and surface points of a capsule."""
 
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """Capsules that contain the bodies of a robot, in the frames of the bodies."""
+    """The c capsules that contain the bodies of a robot, in the body frames."""
 
     body: Integers
-    """Indices of the bodies of the c capsules, shape (c,)."""
+    """Index of the body of each capsule, shape (c,)."""
     ends: Floats
-    """Ends of the segments of the c capsules, shape (c, 2, 3) [m]."""
+    """Ends of the line segment of each capsule, shape (c, 2, 3) [m]."""
     radii: Floats
-    """Radii of the c capsules, shape (c,) [m]."""
+    """Radius of each capsule, shape (c,) [m]."""
     names: tuple[str, ...]
     """Name of a link in the body of each capsule."""
     surfaces: tuple[Floats, ...]
-    """Surface points in each capsule, shape (k, 3) [m]; k is 0 for an assumed capsule."""
+    """Surface points in each capsule, shape (k, 3) [m]; k is 0 if the radius is assumed."""
     notes: tuple[str, ...]
     """Sentences about bodies whose shape is unknown."""
 
@@ -67,7 +67,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume divided by pi; each round end is halved, because neighbours overlap."""
+        """Volume divided by pi, with half of the round ends, because neighbours overlap."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 
@@ -78,8 +78,8 @@ def body_capsules(
     """
     Return capsules around all bodies; ``shapes`` and ``unreadable`` are from `read_shapes`.
 
-    Some bodies have an unreadable shape, or a mass without a shape around it. Such a body gets
-    capsules of an assumed radius from its origin to its children, links and centre of mass.
+    A radius is assumed for bodies that have an unreadable shape, or no shape around their mass.
+    The capsules then connect the origin of the body with its children, links and centre of mass.
 
     """
     rows: list[_Row] = []
@@ -116,7 +116,7 @@ def body_capsules(
 
 
 def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
-    """Return why bodies lack a shape around their mass; ``shaped`` contains links with shapes."""
+    """Return the reasons for assumed radii, by body; ``shaped`` contains links with shapes."""
     reasons = {}
     for body in range(len(robot.parent)):
         points = [row[-1] for row in rows if row[0] == body]
@@ -125,7 +125,7 @@ def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dic
         links = np.flatnonzero(robot.link_body == body)
         heaviest = int(links[robot.link_mass[links].argmax()])
         if points and robot.link_mass[heaviest] > 0.0 and heaviest not in shaped:
-            # The shapes may be those of other links, such as a camera beside the mass.
+            # The shapes may belong to other links, such as a camera beside the mass.
             beyond = np.concatenate(points) - robot.com[body]
             if (beyond.min(axis=0) > 0.0).any() or (beyond.max(axis=0) < 0.0).any():
                 reasons[body] = 'it has no shape around its centre of mass'
@@ -146,7 +146,7 @@ def _bones(robot: RobotModel, body: int) -> list[Floats]:
     return [np.array([np.zeros(3), tip]) for tip in np.unique(np.round(tips, 6), axis=0)]
 
 
-# Shapes to capsules
+# From shapes to capsules
 
 
 def _surface(shape: Shape) -> Floats:
@@ -168,7 +168,7 @@ def _distances(points: Floats, ends: Floats) -> Floats:
 
 def _pieces(shape: Shape) -> list[_Piece]:
     """Cut a shape into pieces whose capsules together contain the shape."""
-    # Details smaller than a cell are removed; a larger radius compensates for the removal.
+    # Rounding moves a vertex by at most half the diagonal of a cell: the radii grow by as much.
     cell = max(float(np.ptp(shape.vertices, axis=0).max()), _SMALLEST) / _CELLS
     rounded, index = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)
     faces = np.unique(np.sort(index.ravel()[shape.faces], axis=1), axis=0)
@@ -181,7 +181,12 @@ def _pieces(shape: Shape) -> list[_Piece]:
 
 
 def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
-    """Cut a piece if cuts reduce the sum of sizes and prices; return the sum and the pieces."""
+    """
+    Cut a piece if cuts lower the cost; return the cost and the pieces.
+
+    The cost of a piece is its size plus the price.
+
+    """
     one = piece.size + price, [piece]
     if depth == 0 or piece.size < 2.0 * price:
         return one
@@ -193,7 +198,7 @@ def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Pie
 
 
 def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
-    """Cut a piece along various planes; return the two halves of each cut."""
+    """Cut a piece along several planes; return the two halves for each plane."""
     import trimesh
 
     found = []
@@ -214,7 +219,7 @@ def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
 
 
 def _piece(vertices: Floats, faces: Integers) -> _Piece:
-    """Return a piece that consists of triangles and a small capsule around the triangles."""
+    """Return a piece with the given triangles and a small capsule around the triangles."""
     from scipy.spatial import ConvexHull, QhullError
 
     used, index = np.unique(faces, return_inverse=True)

@@ -1,8 +1,4 @@
-"""
-The kinematic tree of a robot: paths, the link that carries a payload, poses, rotation matrices.
-
-The dynamics do not use this module.
-"""
+"""The kinematic tree of a robot: paths, body frames, rotations, and the link for a payload."""
 
 from __future__ import annotations
 
@@ -16,11 +12,11 @@ from .model import Floats, RobotModel
 
 _FINGER = re.compile('finger|thumb|gripper|knuckle|jaw|claw', re.IGNORECASE)
 _FINGER_FRACTION = 0.3
-"""A branch at the end of an arm is a finger if it is shorter than this fraction of the arm."""
+"""A branch shorter than this fraction of the whole chain is a finger."""
 
 
 def path_to(robot: RobotModel, body: int) -> list[int]:
-    """Return the bodies on the path from the base to the given body, without the base."""
+    """Return the bodies on the path from the base to a body, without the base."""
     path: list[int] = []
     while body > 0:
         path.insert(0, body)
@@ -30,10 +26,10 @@ def path_to(robot: RobotModel, body: int) -> list[int]:
 
 def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     """
-    Return rotations and origins [m] of the frames of all b bodies, in the base frame.
+    Return the rotations and the origins of all b body frames, in the base frame.
 
-    If the positions of n joints have the shape (..., n) [rad or m], the rotations have the shape
-    (..., b, 3, 3), and the origins have the shape (..., b, 3).
+    The positions ``q`` of the joints have shape (..., n) [rad or m]. The rotations have shape
+    (..., b, 3, 3), and the origins have shape (..., b, 3) [m].
 
     """
     b, shape = len(robot.parent), q.shape[:-1]
@@ -53,7 +49,7 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
 
 
 def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
-    """Return matrices of rotations by angles [rad] about a unit vector (Rodrigues' formula)."""
+    """Return rotation matrices for angles [rad] about a unit vector (Rodrigues' formula)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = np.asarray(angle)[..., np.newaxis, np.newaxis]
@@ -63,7 +59,7 @@ def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
 
 
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
-    """Return the matrix of rotations [rad] about fixed axes: x, then y, then z, as in a URDF."""
+    """Return the rotation matrix for roll, pitch and yaw [rad] as in a URDF."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
     return np.array(
         [
@@ -76,18 +72,17 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 def rpy_of_quaternion(text: str) -> str:
     """
-    Convert ``quat_xyzw`` to ``rpy``: roll, pitch and yaw about the fixed axes x, y, z [rad].
+    Convert the text of ``quat_xyzw`` to the text of ``rpy`` [rad].
 
-    The text contains the four numbers x, y, z and w; at least one number is nonzero. The
-    quaternion is normalised.
+    The quaternion must not be zero, and is normalised.
 
     """
     values = [float(word) for word in text.split()]
     norm = math.hypot(*values)
     x, y, z, w = (value / norm for value in values)
     # R = Rz(yaw) Ry(pitch) Rx(roll). Near a pitch of 90 degrees, only the sum or the difference of
-    # roll and yaw is well defined. Any yaw is correct there, because the roll is computed from the
-    # rotation that remains after this yaw has been removed.
+    # roll and yaw is well defined. Any yaw is correct there, because the roll is computed from
+    # Rz(yaw)^T R.
     r00, r10 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     r01, r11 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z)
     r02, r12, r20 = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 2.0 * (x * z - w * y)
@@ -103,10 +98,10 @@ def rpy_of_quaternion(text: str) -> str:
 
 def last_link(robot: RobotModel) -> str:
     """
-    Return the link that probably carries a payload: ``tool0``, or the end of the longest chain.
+    Return the link that probably carries a payload.
 
-    Fingers are ignored. If the chain ends in a gripper or a hand, the result is the link that
-    carries the fingers.
+    The result is ``tool0`` if this link exists. Otherwise, the result is the end of the longest
+    chain, without fingers.
 
     """
     if 'tool0' in robot.link_names:
@@ -118,7 +113,7 @@ def last_link(robot: RobotModel) -> str:
 
 
 def _without_fingers(robot: RobotModel, chain: Sequence[int]) -> int:
-    """Return the last body that is not part of a finger; ``chain`` is from `path_to`."""
+    """Return the last body before the fingers; ``chain`` is from `path_to`."""
     lengths = np.cumsum([float(np.linalg.norm(robot.p_PL[body])) for body in chain])
     end = len(chain) - 1
     for i in range(1, len(chain)):

@@ -1,4 +1,4 @@
-"""Checks for limits that are missing or look wrong, and for positions far outside the limits."""
+"""Warnings about missing or implausible limits, and about positions far outside the limits."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from numpy.typing import ArrayLike
 from .model import Floats, ModelWarning, RobotModel
 
 _FAR_BEYOND = 50.0
-"""A limit above this multiple of the moment of the robot's weight is a placeholder."""
+"""An effort limit above this multiple of the largest gravity effort is a placeholder."""
 _FEWEST_EQUAL, _FRACTION_EQUAL = 3, 0.8
 _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
-"""Effort limits [N m] that exporters write for all joints instead of the real limits."""
+"""Effort limits [N m] that exporters write if the real limits are unknown."""
 
 
 def limit_subject(joint: str, quantity: str) -> str:
-    """Return the subject of warnings about the 'effort' or 'velocity' limit of a joint."""
+    """Return the subject of warnings about a limit; ``quantity`` is 'effort' or 'velocity'."""
     return f"joint '{joint}' {quantity} limit"
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about missing or implausible effort limits, in addition to the loader's."""
+    """Return warnings about effort limits that ``robot.warnings`` does not contain yet."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -43,9 +43,9 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     """
     Return warnings about effort limits that look like placeholders.
 
-    Each limit is compared with the effort that holds the whole robot stretched out. A wrist
-    joint needs much less, but motors are not oversized by orders of magnitude. Limits of prismatic
-    joints are not compared, because a gripper presses with many times the weight of its fingers.
+    Each limit is compared with the effort that holds the whole robot stretched out. A wrist needs
+    much less, but motors are not oversized by orders of magnitude. Prismatic joints are ignored,
+    because a gripper presses with many times the weight of its fingers.
 
     """
     hint = 'write the largest effort of the joint, from the data sheet of its drive'
@@ -58,11 +58,11 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     common, count = Counter(rated.tolist()).most_common(1)[0]
     if common in _ROUND_LIMITS and count >= max(_FEWEST_EQUAL, _FRACTION_EQUAL * rated.size):
         text = f'{count} of {rated.size} effort limits of revolute joints are {common:g} N m'
-        return (ModelWarning(f'{text}: looks like a placeholder', hint),)
+        return (ModelWarning(f'{text}, which looks like a placeholder', hint),)
     return tuple(
         ModelWarning(
-            f'{limit:.7g} N m, but holding the whole robot stretched out takes at most '
-            f'{most:.3g} N m: looks like a placeholder',
+            f'{limit:.7g} N m looks like a placeholder, because holding the whole robot '
+            f'stretched out takes at most {most:.3g} N m',
             hint,
             limit_subject(name, 'effort'),
         )
@@ -84,9 +84,9 @@ def _moment_of_weight(robot: RobotModel) -> float:
 
 
 _MARGIN = 0.1
-"""Tolerated distance outside the limits, as a fraction of the range between the limits."""
+"""Tolerated distance outside the limits, as a fraction of the range."""
 _LEAST_MARGINS = (0.1, 0.01)
-"""Smallest tolerated distance outside the limits of revolute [rad] and prismatic joints [m]."""
+"""Least tolerated distance for revolute joints [rad] and for prismatic joints [m]."""
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -97,16 +97,15 @@ class ImplausiblePosition(NamedTuple):
     position: float
     """The position that is furthest outside the limits [rad or m]."""
     lower: float
-    """Lower position limit [rad or m]; -inf if there is none."""
+    """Lower position limit [rad or m]; -inf without a limit."""
     upper: float
-    """Upper position limit [rad or m]; inf if there is none."""
+    """Upper position limit [rad or m]; inf without a limit."""
     looks_like_degrees: bool
     """Whether the position would be plausible if it were in degrees."""
     is_prismatic: bool = False
     """Whether the unit is m instead of rad."""
 
     def __str__(self) -> str:
-        """Return a sentence with the name of the joint, its position, and its limits."""
         unit = 'm' if self.is_prismatic else 'rad'
         sentence = (
             f'{self.joint} is at {self.position:.4g} {unit}, '
@@ -121,14 +120,13 @@ def implausible_positions(
     """
     Find joints that are implausibly far outside their limits; report each joint once.
 
-    Encoder offsets and soft limits often put a joint slightly outside its limits. A tenth of the
-    range, or at least 0.1 rad or 0.01 m, is therefore tolerated. Joints without limits are not
-    checked. Joints whose lower and upper limits are equal are not checked either, because such
-    limits are usually placeholders.
+    Encoder offsets often put a joint slightly outside its limits. A tenth of the range is
+    therefore tolerated, and at least 0.1 rad or 0.01 m. Equal lower and upper limits are ignored,
+    because such limits are usually placeholders.
 
-    ``positions`` are one or more configurations of n joints, shape (..., n) [rad or m]; NaN and
-    infinite values are ignored. ``joint_names`` are the names of the columns; without names,
-    the columns are the joints of the robot. Unknown names are ignored.
+    ``positions`` have shape (..., n) [rad or m]. NaN and infinite values are ignored.
+    ``joint_names`` are the names of the n columns, by default the joints of the robot. Unknown
+    names are ignored. Raise a ValueError if the shape is wrong.
 
     """
     names = tuple(joint_names) or robot.joint_names
@@ -150,7 +148,7 @@ def implausible_positions(
             continue
         looks_like_degrees = (
             not is_prismatic
-            and abs(worst) > _FULL_TURN  # a smaller position may be an offset
+            and abs(worst) > _FULL_TURN  # a smaller position may be due to an encoder offset
             and lower - margin <= math.radians(worst) <= upper + margin
         )
         found.append(
@@ -162,7 +160,7 @@ def implausible_positions(
 def position_warnings(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> tuple[ModelWarning, ...]:
-    """Return warnings about `implausible_positions`; positions likely in degrees come first."""
+    """Return warnings about `implausible_positions`; positions in degrees come first."""
     hints = {
         True: 'convert the positions to radians',
         False: 'check units (rad, m), zero positions, the order of the joints, and whether the '
@@ -178,7 +176,7 @@ def position_warnings(
 
 
 def _worst(positions: Floats, lower: float, upper: float) -> float | None:
-    """Return the finite position that is furthest outside, or least far inside, the limits."""
+    """Return the finite position that is furthest outside the limits, or least far inside."""
     finite = positions[np.isfinite(positions)]
     if not finite.size:
         return None

@@ -1,10 +1,10 @@
 """
-A robot as flat, read-only arrays; parents come before their children.
+The model of a robot as read-only arrays.
 
-Links connected by fixed joints form one *body*. Body 0 is the base. Every other body has one joint
-that moves it. The URDF frame of this joint is the frame of the body. The origin of the frame is on
-the axis of the joint. Frames are written in monogram notation: ``R_PL`` rotates vectors from body
-L to its parent P, and ``p_PL`` is the position of the origin of L in P.
+Links connected by fixed joints form one *body*. Body 0 is the base. Every other body is moved by
+one joint, and the URDF frame of this joint is the frame of the body. The arrays are named in
+monogram notation: ``R_PL`` rotates vectors from the frame of body L to the frame of its parent P,
+and ``p_PL`` is the origin of L in the frame of P.
 """
 
 from __future__ import annotations
@@ -33,15 +33,13 @@ class ModelWarning:
     """
 
     text: str
-    """Description of the problem, with the value that was found."""
+    """Description of the problem."""
     hint: str
-    """How to correct the problem, or when it is harmless."""
+    """How to correct the problem, or when the problem is harmless."""
     subject: str = ''
-    """
-    The element with the problem, such as ``link 'hand' inertial``; empty for the whole robot.
-    """
+    """Element with the problem, such as ``link 'hand' inertial``; empty for the whole robot."""
     line: int | None = None
-    """Line of the robot description; None if no single line is the cause."""
+    """Line number in the robot description, or None."""
 
     def __str__(self) -> str:
         line = '' if self.line is None else f'line {self.line}'
@@ -51,84 +49,84 @@ class ModelWarning:
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """
-    A tree of rigid bodies that are connected by revolute and prismatic joints.
+    A tree of rigid bodies, connected by revolute and prismatic joints.
 
     Arrays with ``n`` rows have one row per joint, in the order of ``joint_names``. Arrays with
-    ``b`` rows have one row per body, the base first. If joints mimic others, there are more moving
-    bodies than joints. All arrays are read-only.
+    ``b`` rows have one row per body, and the base comes first. Arrays with ``k`` rows have one row
+    per link. A mimic joint moves a body, but is not one of the n joints. All arrays are read-only.
 
     """
 
     name: str
     joint_names: tuple[str, ...]
-    """
-    Names of the n moving joints that do not mimic others; depth first, siblings in file order.
-    """
+    """Names of the n movable joints, without mimic joints; depth first, siblings in file order."""
 
     lower: Floats
-    """Lower position limits of the n joints, shape (n,) [rad or m]; -inf if there is none."""
+    """Lower position limit of each joint, shape (n,) [rad or m]; -inf without a limit."""
     upper: Floats
-    """Upper position limits of the n joints, shape (n,) [rad or m]; inf if there is none."""
+    """Upper position limit of each joint, shape (n,) [rad or m]; inf without a limit."""
     velocity_limits: Floats
-    """Largest speeds of the n joints, shape (n,) [rad/s or m/s]; inf if there is no limit."""
+    """Velocity limit of each joint, shape (n,) [rad/s or m/s]; inf without a limit."""
     effort_limits: Floats
-    """Largest efforts of the n joints, shape (n,) [N m or N]; inf if there is no limit."""
+    """Effort limit of each joint, shape (n,) [N m or N]; inf without a limit."""
     damping: Floats
-    """
-    Viscous friction of the n joints and their mimic joints, shape (n,) [N m s/rad or N s/m].
-    """
+    """Viscous friction of each joint and its mimic joints, shape (n,) [N m s/rad or N s/m]."""
     friction: Floats
-    """Coulomb friction of the n joints and their mimic joints, shape (n,) [N m or N]."""
+    """Coulomb friction of each joint and its mimic joints, shape (n,) [N m or N]."""
     is_continuous: Booleans
-    """Whether each of n joints turns without limits (whole turns do not matter), shape (n,)."""
+    """Whether each joint has the URDF type ``continuous``, shape (n,)."""
 
     body_names: tuple[str, ...]
-    """Name of the base link, then the names of the joints that move the other bodies; length b."""
+    """Name of the base link, then the names of the joints of the other bodies; length b."""
     parent: Integers
     """
-    Index of each body's parent, shape (b,); -1 for the base. Parents come before their children.
+    Index of the parent of each body, shape (b,); -1 for the base.
+
+    Parents come before their children.
     """
     is_prismatic: Booleans
-    """Whether each of the b bodies slides along its axis instead of turning, shape (b,)."""
+    """Whether the joint of each body is prismatic, shape (b,); False for the base."""
     joint_index: Integers
-    """Index in ``joint_names`` of each body's joint, shape (b,); -1 for the base."""
+    """
+    Index in ``joint_names`` of the joint of each body, shape (b,); -1 for the base.
+
+    For a mimic joint, this is the index of the mimicked joint.
+    """
     multiplier: Floats
     """
-    Multipliers of the b bodies, shape (b,); 1 unless the joint of the body mimics another.
+    Multiplier of each body, shape (b,); 0 for the base, and 1 unless the joint is a mimic joint.
 
-    The position of a body is ``multiplier * q[joint_index] + offset``.
+    The joint of a body has the position ``multiplier * q[joint_index] + offset``.
     """
     offset: Floats
-    """Position offsets of the b bodies, shape (b,) [rad or m]; see ``multiplier``."""
+    """Position offset of each body, shape (b,) [rad or m]; see ``multiplier``."""
     R_PL: Floats
-    """Rotations from the b body frames to the parents' frames at position 0, shape (b, 3, 3)."""
+    """Rotation from each body frame to the frame of the parent at position 0, shape (b, 3, 3)."""
     p_PL: Floats
-    """Origins of the b bodies in their parents' frames at position 0, shape (b, 3) [m]."""
+    """Origin of each body in the frame of the parent at position 0, shape (b, 3) [m]."""
     axis: Floats
-    """
-    Unit vectors of the joint axes in the frames of the b bodies, shape (b, 3); zero for the base.
-    """
+    """Unit vector of each joint axis, in the body frame, shape (b, 3); zero for the base."""
     mass: Floats
-    """Masses of the b bodies, shape (b,) [kg]."""
+    """Mass of each body, shape (b,) [kg]."""
     com: Floats
-    """Centres of mass in the frames of the b bodies, shape (b, 3) [m]."""
+    """Centre of mass of each body, in the body frame, shape (b, 3) [m]."""
     inertia: Floats
-    """Inertias of b bodies about the centre of mass, in body axes, shape (b, 3, 3) [kg m^2]."""
+    """Inertia of each body about its centre of mass, in body axes, shape (b, 3, 3) [kg m^2]."""
 
     link_names: tuple[str, ...]
-    """Names of all k links of the URDF, including merged ones, in file order; length k."""
+    """Names of all k links of the URDF, in file order."""
     link_body: Integers
-    """Index of the body that contains each of the k links, shape (k,)."""
+    """Index of the body that contains each link, shape (k,)."""
     link_rotation: Floats
-    """Rotations from the frames of the k links to the body frames, shape (k, 3, 3)."""
+    """Rotation from each link frame to the body frame, shape (k, 3, 3)."""
     link_position: Floats
-    """Origins of the k links in the frames of their bodies, shape (k, 3) [m]."""
+    """Origin of each link in the body frame, shape (k, 3) [m]."""
     link_mass: Floats
-    """Masses of the k individual links, shape (k,) [kg]; 0 for a link without ``<inertial>``."""
+    """Mass of each link, shape (k,) [kg]; 0 for a link without ``<inertial>``."""
     link_com: Floats
-    """Centres of mass of the k individual links in their frames, shape (k, 3) [m]."""
+    """Centre of mass of each link, in the link frame, shape (k, 3) [m]."""
     link_inertia: Floats
-    """Inertias of the k links about the centre of mass, in link axes, shape (k, 3, 3) [kg m^2]."""
+    """Inertia of each link about its centre of mass, in link axes, shape (k, 3, 3) [kg m^2]."""
 
     warnings: tuple[ModelWarning, ...] = ()
     """Warnings about the robot description, in file order."""
@@ -141,7 +139,7 @@ class RobotModel:
 
     @cached_property
     def is_prismatic_joint(self) -> Booleans:
-        """Whether each of the n joints is prismatic instead of revolute, shape (n,)."""
+        """Whether each joint is prismatic, shape (n,)."""
         # Skip the first name, because a joint may have the same name as the base link.
         bodies = [self.body_names.index(name, 1) for name in self.joint_names]
         found: Booleans = self.is_prismatic[bodies]
@@ -150,7 +148,7 @@ class RobotModel:
 
     @property
     def mimic_names(self) -> tuple[str, ...]:
-        """Names of the joints that mimic others; ``joint_names`` does not contain them."""
+        """Names of the mimic joints, which ``joint_names`` does not contain."""
         return tuple(name for name in self.body_names[1:] if name not in self.joint_names)
 
     def joint_indices(self, names: Iterable[str]) -> list[int]:

@@ -2,11 +2,10 @@
 Rigid bodies, given by mass, centre of mass and inertia, or by ten inertial parameters.
 
 The ten parameters of a body are m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in the order of
-`InverseDynamics.regressor`. Here m is the mass, h = m c is the first moment for the centre of mass
-c, and I is the inertia about the origin of the frame. The pseudo-inertia is the second moment of
-the mass in homogeneous coordinates: [[S, h], [h^T, m]]. Here S = tr(I) / 2 E - I, and E is the
-identity. A distribution of mass with these parameters exists if and only if the pseudo-inertia is
-positive semidefinite.
+`InverseDynamics.regressor`. Here m is the mass, and h is the mass times the centre of mass. I is
+the inertia about the origin of the frame. The pseudo-inertia [1]_ is the matrix
+[[S, h], [h^T, m]], where S = tr(I) / 2 E - I, and E is the identity. A body with these parameters
+can exist if and only if the pseudo-inertia is positive semidefinite.
 
 References
 ----------
@@ -26,11 +25,11 @@ import numpy as np
 from .model import Floats
 
 PARAMETERS = 10
-_ROWS = np.array([0, 0, 1, 0, 1, 2])  # of the elements Ixx, Ixy, Iyy, Ixz, Iyz, Izz
+_ROWS = np.array([0, 0, 1, 0, 1, 2])  # of Ixx, Ixy, Iyy, Ixz, Iyz, Izz
 _COLUMNS = np.array([0, 1, 1, 2, 2, 2])
 
 SMALLEST_RADIUS = 0.01
-"""Smallest radius of gyration [m] that `moved_inside` gives to (nearly) impossible bodies."""
+"""`moved_inside` enlarges impossible bodies to at least this radius of gyration [m]."""
 
 
 class RigidBody(NamedTuple):
@@ -44,11 +43,11 @@ class RigidBody(NamedTuple):
     """Inertia about the centre of mass, along the axes of the frame, shape (3, 3) [kg m^2]."""
 
     def rotate(self, rotation: Floats) -> RigidBody:
-        """Express the body in new axes, about the same origin; ``rotation`` is from old to new."""
+        """Return the body in new axes; ``rotation`` is from the old axes to the new axes."""
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:
-        """Express the body about a new origin; ``position`` [m] points from new to old origin."""
+        """Return the body in a moved frame; ``position`` [m] is the old origin in this frame."""
         return RigidBody(self.mass, position + self.com, self.inertia)
 
     def scale(self, factor: float) -> RigidBody:
@@ -57,11 +56,11 @@ class RigidBody(NamedTuple):
 
     def parameters(self) -> Floats:
         """
-        Return the ten inertial parameters, shape (10,); efforts are linear in these parameters.
+        Return the ten inertial parameters, shape (10,).
 
         The parameters are the mass [kg], the mass times centre of mass (x, y, z) [kg m], and the
-        inertia (xx, xy, yy, xz, yz, zz) [kg m^2] about the origin of the frame, not about the
-        centre of mass.
+        inertia (xx, xy, yy, xz, yz, zz) [kg m^2]. The inertia is about the origin of the frame,
+        not about the centre of mass.
 
         """
         com = self.com
@@ -72,7 +71,7 @@ class RigidBody(NamedTuple):
 
 def combine(bodies: Iterable[RigidBody]) -> RigidBody:
     """
-    Combine bodies, all in the same frame, into one rigid body.
+    Combine bodies, given in the same frame, into one rigid body.
 
     A massless body, such as the rotor of a motor, may have inertia. If all bodies are massless,
     the centre of mass is the origin.
@@ -123,7 +122,7 @@ def parameters_of_pseudo_inertias(matrices: Floats) -> Floats:
 
 
 def rigid_body(parameters: Floats) -> RigidBody:
-    """Convert ten parameters to a rigid body; the mass must be above zero."""
+    """Convert ten parameters to a rigid body; the mass must be positive."""
     mass = float(parameters[0])
     c = parameters[1:4] / mass
     inertia = np.zeros((3, 3))
@@ -133,11 +132,10 @@ def rigid_body(parameters: Floats) -> RigidBody:
 
 def moved_inside(parameters: Floats) -> Floats:
     """
-    Return parameters, shape (10,), of the nearest body that has extent in all directions.
+    Enlarge a body with an impossible inertia or no extent in some direction.
 
-    A body that has no extent in some direction, or an impossible inertia, is enlarged: its radius
-    of gyration becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not change.
-    The mass must be above zero.
+    The radius of gyration becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do
+    not change. Argument and result are parameters, shape (10,). The mass must be positive.
 
     """
     matrix = pseudo_inertias(parameters)
@@ -154,10 +152,11 @@ def moved_inside(parameters: Floats) -> Floats:
 
 def transport(before: Floats, after: Floats) -> Floats:
     """
-    Return the matrix T with ``T before T^T = after`` that is nearest to the identity.
+    Return the symmetric positive definite matrix T with ``T before T^T = after``.
 
-    The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If every part of
-    the body is changed to ``T part T^T``, the parts remain physical, and their sum is ``after``.
+    The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If the
+    pseudo-inertia P of every part of the body becomes ``T P T^T``, the parts remain physical, and
+    the sum of the parts becomes ``after``.
 
     """
     root = _power(before, 0.5)

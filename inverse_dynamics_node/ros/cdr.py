@@ -1,10 +1,9 @@
 """
 Reads serialized joint states and writes serialized commands.
 
-Deserializing a message takes longer than computing the efforts. However, a publisher always sends
-the same joint names. Therefore only its first message is deserialized. Later messages have the
-same layout, and their numbers are read in place. The layout also keeps the object that the
-receiver has made from the names.
+Deserializing a message takes longer than computing the efforts. Therefore only the first message
+of a publisher is deserialized. Later messages have the same joint names and the same layout, so
+that their numbers can be read in place.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class JointStateArrays(NamedTuple):
     """Contents of a joint state; lengths and values are not checked."""
 
     joints: Any
-    """Joint names, or the object that was prepared from them."""
+    """Joint names, or the object that `JointStateReader` has made from the names."""
     positions: Floats
     velocities: Floats
     efforts: Floats
@@ -59,7 +58,7 @@ class JointStateReader:
         """
         Read one message from a raw subscription; the arrays are usually read-only views.
 
-        Raise a JointStateError if `data` is not a JointState. `prepare` may raise this error, too.
+        Raise a JointStateError if `data` is not a JointState. `prepare` may raise the same error.
         """
         for layout in self._layouts:
             if layout.fits(data):

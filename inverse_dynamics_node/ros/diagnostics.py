@@ -1,8 +1,7 @@
 """
 Converts `NodeStatus` to and from ``/diagnostics`` messages in the format of REP-107.
 
-Each field of the status declares its key and format. A value that is read back has only as many
-digits as its text.
+Each field of the status declares its key and format. The format also rounds the numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from ..control.status import Level, NodeNames, NodeStatus, Part, Payload
 from ..control.supervision import Phase
 from ..errors import shortened
 
-_MAX_LENGTH = 1000  # [characters]; texts contain names from messages and robot descriptions
+_MAX_LENGTH = 1000  # [characters]; names from messages and robot descriptions can be long
 _NONE = 'none'
 
 
@@ -132,8 +131,8 @@ def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
     """
     Return the message for ``/diagnostics``, with long texts shortened.
 
-    `stamp` is the time in the header. The name of each part begins with `node`, the fully
-    qualified name of the node, without its leading slash.
+    `stamp` is the time in the header. `node` is the fully qualified name of the node. The name of
+    each part begins with `node`, without the leading slash.
     """
     message = DiagnosticArray()
     message.header.stamp = stamp
@@ -157,8 +156,8 @@ def read_status(message: Any, node: str) -> NodeStatus | None:
     """
     Read the status of the node with the fully qualified name `node`.
 
-    The message may come from any node, even of another version of this package. Values that
-    cannot be read keep their defaults. Return None if the message is from another node.
+    Return None if the message is from another node. Values that cannot be read keep their
+    defaults, because the node may have another version of this package.
     """
     prefix = f'{node.strip("/")}: '
     parts = {

@@ -12,7 +12,7 @@ from ..control.status import Others, SimulatedTime
 from ..control.status_text import join_names
 
 _DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
-_MAX_CHECKS = 10  # checks that may pass until the node of a subscription has a name
+_MAX_CHECKS = 10  # longest wait for the name of a subscriber, in checks
 _UNKNOWN = 'a node with an unknown name'
 
 
@@ -20,9 +20,9 @@ class Graph:
     """
     Queries the ROS graph on behalf of a node.
 
-    A query takes 1 to 50 us in a small graph and longer in a large graph. Therefore only slow
-    timers should make queries. `forms` are the publishers of the topics that may carry the
-    commands. Reports name the first of these topics that has a subscriber.
+    Make queries only in slow timers, because a query takes up to 50 us, and longer in a large
+    graph. `forms` are the publishers of the topics that may carry the commands. Reports name the
+    first of these topics that has a subscriber.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:
@@ -73,7 +73,7 @@ class Graph:
         """
         Return a log text if the commands got their first subscriber or lost their last subscriber.
 
-        Return an empty text if neither has happened since the last call of this method or of
+        Return an empty text if nothing has changed since the last call of this method or of
         `with_subscribers`.
         """
         commands = self._commands
@@ -83,7 +83,7 @@ class Graph:
             return ''
         names = self._subscribers(commands)
         if has_subscribers and _UNKNOWN in names and self._checks_left:
-            self._checks_left -= 1  # the name arrives a little later than the subscription
+            self._checks_left -= 1  # the name arrives later than the subscription
             return ''
         self._has_subscribers = has_subscribers
         if not has_subscribers:
@@ -93,10 +93,10 @@ class Graph:
 
     def others(self) -> Others:
         """
-        Find nodes that interfere with this node and were also found by the previous call.
+        Return the interfering nodes that both this call and the previous call have found.
 
-        One call is not enough. A publisher is discovered before the name of its node, and a node
-        that shuts down stays in the graph for up to a second.
+        A single call may be wrong, because a publisher is discovered before the name of its node,
+        and because a node that has ended stays in the graph for up to a second.
         """
         rivals: set[str] = set()
         commands = self._commands

@@ -31,12 +31,12 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     Initialize rclpy, without its signal handlers and without shared memory.
 
     When a publisher sends its first message to a new subscriber, Fast DDS 2.14 opens a port in
-    shared memory. A race between publisher and subscriber can then block the publisher, and thus a
-    control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, even within a
-    machine. The environment variables for UDP are set in this process and inherited by children.
+    shared memory. A race between publisher and subscriber can then block the publisher for 0.33 s
+    (issue 6535 of Fast DDS). Therefore messages use UDP, even within a machine. Child processes
+    inherit the environment variables for UDP.
 
-    `arguments` are ROS arguments; the default is the arguments of the process. Raise a
-    ConfigurationError if ROS would start without the security that the environment requests.
+    `arguments` are ROS arguments, by default those of the process. Raise a ConfigurationError if
+    ROS would start without the security that the environment requests.
     """
     rmw = get_rmw_implementation_identifier()
     check_security(rmw, os.environ)
@@ -50,9 +50,8 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     """
     Raise a ConfigurationError if ROS would silently start without the requested security.
 
-    ROS compares exact texts: with ``True`` or ``1`` security is off, and with the strategy
-    ``enforce`` security is not enforced. Only middleware based on DDS reads the enclave; rmw_zenoh
-    ignores it. The error names the setting and its possible values.
+    ROS compares exact texts: ``True`` or ``1`` does not enable security, and ``enforce`` does not
+    enforce security. Only DDS middleware reads the enclave; rmw_zenoh ignores the enclave.
     """
     enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
     problems = []
@@ -101,9 +100,9 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     Return the environment variables that keep Fast DDS from using shared memory.
 
     The result is empty for other middleware, and if the user has chosen other transports or a
-    profile. With the discovery range LOCALHOST, rmw_fastrtps requests shared memory regardless of
-    the chosen transports. In this case, a profile replaces the range. If there are static peers,
-    no profile is used, because the profile would have to list the peers.
+    profile. With the discovery range LOCALHOST, rmw_fastrtps requests shared memory even if other
+    transports are chosen. In this case, a profile replaces the range. With static peers, the
+    result is empty, because a profile would have to list the peers.
     """
     profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
     has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')

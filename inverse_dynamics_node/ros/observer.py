@@ -30,10 +30,10 @@ from .diagnostics import read_status
 from .middleware import explained_start, start_ros
 
 _MOST_WARNINGS = 50
-_RATES = 3  # number of latest rate reports to keep; one arrives per second
+_RATES = 3  # number of rate reports to keep; a report arrives every second
 _STALE = 0.5  # [s]; older efforts are treated as unknown
 _LONGEST_GAP = 0.5  # [s]; the filters restart after a longer gap, as in the node
-_SETTLING = 0.3  # [s]; until the filters of this process and of the node agree
+_SETTLING = 0.3  # [s]; time until the filters of this process agree with the filters of the node
 _QUEUE = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LOG = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -135,7 +135,6 @@ class Observer:
         self._clear()
 
     def _clear(self) -> None:
-        """Forget the values of all joints."""
         count = len(self.robot.joint_names) if self.robot else 0
         self._index = {
             name: i for i, name in enumerate(self.robot.joint_names if self.robot else ())
@@ -172,8 +171,8 @@ class Observer:
         """
         Highest rate of joint states in the latest reports [Hz]; None before the second report.
 
-        The rate in a single report may be too low, because the robot was not connected yet or
-        this machine was suspended for part of the time.
+        The rate in a single report is too low if the robot was not connected yet, or if this
+        machine was suspended.
         """
         return max(self._state_rates) if len(self._state_rates) > 1 else None
 

@@ -16,7 +16,7 @@ from .observer import Observer
 
 _PATIENCE = 10.0  # [s]; diagnostics come once a second
 _REPETITION = 3.0  # [s]; a message is lost if the subscriber is not ready yet
-_PRECISION = 1e-3  # relative precision of the numbers in the diagnostics
+_PRECISION = 1e-3  # precision of masses (relative) and of positions [m]
 _POLL = 0.02  # [s]
 
 

@@ -15,7 +15,7 @@ from .observer import Observer
 _QUANTITIES = 'position', 'velocity', 'effort'
 _PATIENCE = 10.0  # [s]; longest wait for all joints; diagnostics come once a second
 _LISTENING = 1.0  # [s]; time in which every publisher of joint states should publish
-_SILENCE = 5.0  # [s]; the recording ends after this time without joint states
+_SILENCE = 5.0  # [s]; the recording ends after this time without efforts
 _POLL = 0.02  # [s]
 
 
@@ -23,16 +23,16 @@ class StateRows:
     """
     Converts serialized joint states to rows of a CSV file with the joints seen by `note`.
 
-    There may be several publishers, each with some of the joints. Cells without a value are empty.
+    A joint state may contain only some of the joints. Cells without a value are empty.
     """
 
     def __init__(self) -> None:
         self._reader = JointStateReader()
         self.joints: dict[str, bool] = {}
-        """Whether a joint has had an effort, by joint name."""
+        """By joint name, whether the joint has had an effort."""
 
     def note(self, data: bytes) -> None:
-        """Note which joints a state contains, and which of them have efforts."""
+        """Note the joints of a joint state, and whether they have efforts."""
         for joint, *_, effort in self._values(data):
             has_effort = effort is not None and math.isfinite(effort)
             self.joints[joint] = has_effort or self.joints.get(joint, False)
@@ -42,7 +42,7 @@ class StateRows:
         return ['time', *(f'{joint}.{x}' for joint in self.joints for x in _QUANTITIES)]
 
     def row(self, data: bytes, received: float) -> list[float | str | None] | None:
-        """Return the time stamp and the values of a state; `received` replaces a zero stamp."""
+        """Return time stamp and values of a joint state; `received` replaces a zero stamp."""
         values = {joint: values for joint, *values in self._values(data)}
         if values.keys().isdisjoint(self.joints):
             return None
@@ -66,7 +66,7 @@ class JointStateRecorder:
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
         self._rows = StateRows()
-        self._joints: tuple[str, ...] = ()  # that have efforts
+        self._joints: tuple[str, ...] = ()  # with efforts
         self.count = 0
         """Number of recorded states with an effort of the robot."""
         self.duration = 0.0
@@ -80,10 +80,9 @@ class JointStateRecorder:
 
     def wait(self, joints: Sequence[str]) -> None:
         """
-        Wait until joint states of all joints of the node have arrived, or until a time limit.
+        Wait until all joints of the node have been reported, or until a time limit.
 
-        Raise a ConfigurationError if there are no joint states, or if they contain no effort for
-        any of the given joints.
+        Raise a ConfigurationError if there are no joint states, or no efforts of `joints`.
         """
         self._observer.on_joint_state = lambda data, _: self._rows.note(data)
         is_known, heard = False, math.inf
@@ -110,10 +109,10 @@ class JointStateRecorder:
         progress: Callable[[float], None],
     ) -> str:
         """
-        Write the joint states to a file as they arrive; return why the recording ended early.
+        Write the arriving joint states to a file, and return why the recording ended early.
 
-        The reason is empty if the recording did not end early. `progress` is called with the
-        elapsed fraction of the time, 0 to 1.
+        The result is empty if the recording lasted `seconds`. `progress` is called with the
+        elapsed fraction of `seconds`, 0 to 1.
         """
         began = last = time.monotonic()
         with path.open('w', newline='', encoding='utf-8') as file:
@@ -174,6 +173,6 @@ class JointStateRecorder:
         if not any(found.get(joint) for joint in joints):
             return (
                 f'the joint states on {self.topic} have no efforts: let the driver publish '
-                'measured efforts, without which no payload can be measured'
+                'measured efforts, because the payload is computed from measured efforts'
             )
         return ''

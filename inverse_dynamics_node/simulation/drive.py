@@ -1,8 +1,8 @@
 """
-The position controller of a simulated robot, and the hand-over between controller and commands.
+The position controller of a simulated robot, and the hand-over to commands.
 
-The controller holds the robot before commands arrive, after the commands stop, and after a joint
-has become too fast.
+The position controller holds the robot before commands arrive, after the commands stop, and after
+a joint has become too fast.
 """
 
 from __future__ import annotations
@@ -17,28 +17,27 @@ from .drivers import Actuation, Command
 from .mujoco.hardware import MujocoRobot
 
 BRAKING = 0.2  # [s]: braking time from any speed to rest
-_SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of revolute and of prismatic joints
+_SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of revolute and prismatic joints
 _RANGE_FRACTION = 0.3  # largest sway as a fraction of the joint's range
 _SLOWEST, _STEP = 0.08, 0.013  # [Hz]: sway frequency of the first joint; increase per joint
 GAP = 0.1  # [s]: a longer gap between commands restarts the wait for the hand-over
-SILENCE = 0.5  # [s]: after this long without commands, the position controller takes over
+SILENCE = 0.5  # [s]: after this time without commands, the position controller takes over
 STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this time
 LONGEST = 10.0  # [s]: after this time, unsteady commands take over too
-SPEED_FACTOR = 2.0  # ratio of the bound to the velocity limit, with room for overshoot
-NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: bounds if the URDF has no velocity limit
-# Higher limits in URDFs are placeholders; lower bounds would stop a robot pushed by hand.
+SPEED_FACTOR = 2.0  # speed bound divided by velocity limit, because a joint may overshoot
+NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: speed bounds of joints without a limit
+# Larger limits are placeholders. Smaller bounds would stop a robot that is pushed by hand.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
-BRAKING_MARGIN = 1.25  # factor on the bounds while the robot brakes, which takes time
+BRAKING_MARGIN = 1.25  # factor on the speed bounds while the robot brakes
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
-COMPLAINT_PERIOD = 5.0  # [s]: least time between logs of an error, which may recur at 1 kHz
+COMPLAINT_PERIOD = 5.0  # [s]: least time between logs of the same error
 
 
 class PositionDrive:
     """
-    Holds the joints like the manufacturer's controller, or lets them sway slowly.
+    A position controller that holds the joints, like the controller of the manufacturer.
 
-    With ``sways``, every joint moves slowly back and forth, as if jogged by hand. The brakes of
-    the robot must be open.
+    With ``sways``, every joint moves slowly back and forth. The brakes of the robot must be open.
     """
 
     def __init__(self, robot: MujocoRobot, sways: bool) -> None:
@@ -62,7 +61,7 @@ class PositionDrive:
         self._side = np.where(self._start > middle, -1.0, 1.0)
 
     def stand_still(self, now: float) -> None:
-        """Stop swaying at the time ``now`` [s], so that the robot is released at rest."""
+        """Stop swaying at the time ``now`` [s], so that the robot is at rest when released."""
         self._amplitude = np.zeros_like(self._amplitude)
         self.take_over(now)
 
@@ -82,7 +81,7 @@ class PositionDrive:
         time, rate = min(elapsed, BRAKING), math.pi / BRAKING
         model = self._robot.robot
         free = self._start + 0.5 * self._speed * (time + math.sin(rate * time) / rate)
-        # A joint that was pushed beyond a limit does not go any farther.
+        # A joint that was pushed beyond a limit does not move any farther.
         lowest = np.minimum(model.lower, self._start)
         position = np.clip(free, lowest, np.maximum(model.upper, self._start))
         moves = position == free
@@ -103,7 +102,7 @@ class Log(Protocol):
 
 def velocity_bounds(robot: RobotModel) -> Floats:
     """
-    Return the joint speeds at which the supervision stops a robot, shape (n,) [rad/s or m/s].
+    Return the largest permitted speed of each joint, shape (n,) [rad/s or m/s].
 
     The bounds are twice the velocity limits, clipped to a plausible range. Joints without a
     velocity limit get a default bound.
@@ -122,11 +121,10 @@ class HandOver:
     """
     Decides whether the position controller or the commands move a simulated robot.
 
-    The commands take over once they have been arriving for ``release`` seconds and have stopped
-    rising. An earlier hand-over would drop the robot. The position controller ``drive`` takes over
-    when the commands stop, when `hold` requests the hand-over, or when a joint becomes too fast.
-    After a joint has been too fast, commands are ignored until they pause. The brakes must be
-    open.
+    The commands take over after they have arrived for ``release`` seconds and have stopped rising.
+    An earlier hand-over would drop the robot. The position controller ``drive`` takes over when
+    the commands stop, when `hold` is called, or when a joint becomes too fast. After a joint has
+    become too fast, commands are ignored until they pause. The brakes must be open.
     """
 
     def __init__(
@@ -205,8 +203,8 @@ class HandOver:
             self._log.error(
                 f'{self._excess(speeds)}: the position controller brakes the robot and holds it. '
                 'Check signs, units and payloads with inverse_dynamics watch. Commands are '
-                f'ignored until they pause for {SILENCE} s: set dry_run of the node to true, '
-                'remove the cause, and set dry_run to false'
+                f'ignored until they pause for {SILENCE} s. To pause the commands, set dry_run of '
+                'the node to true. Then remove the cause, and set dry_run to false'
             )
         self._drive.act(now)
         speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)
@@ -220,7 +218,7 @@ class HandOver:
         if now >= self._complaint_due:
             self._complaint_due = now + COMPLAINT_PERIOD
             self._log.error(
-                f'{excess}, although the position controller holds the robot: the brakes stop it. '
+                f'{excess} although the position controller holds the robot: the brakes stop it. '
                 'A payload or a push may be too large for the effort limits of the URDF'
             )
 

@@ -1,4 +1,4 @@
-"""The conventions of robot drivers for commands and efforts; doc/robots.md lists the sources."""
+"""The conventions of robot drivers; doc/robots.md lists the sources."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Driver:
     """
     The conventions of a driver.
 
-    By default, commanded and measured efforts are in N m or N, and the robot adds no gravity.
+    By default, efforts are in N m or N, and the robot adds no gravity.
     """
 
     form: Form = Form.EFFORTS
@@ -48,8 +48,7 @@ class Driver:
     """
     Position and velocity gains of the drives, for an inertia of 1 kg m^2 or 1 kg.
 
-    Real drives have gains for one particular arm. The simulation multiplies ``gains`` by the
-    inertia of each joint in the start pose.
+    The simulation multiplies ``gains`` by the inertia of each joint in the start pose.
     """
     commands: str = 'forward_effort_controller/commands'
     """Topic of the commands."""
@@ -62,7 +61,7 @@ class Driver:
 
 
 TORQUES = Driver()
-"""The driver of an ideal robot: all defaults of `Driver`."""
+"""The driver of an ideal robot."""
 _COMPLETE = 'inverse_dynamics/joint_commands'  # topic on which the node sends `Form.MOTION`
 _AMPERE = 0.1  # [A/N m]; an example, because UR does not publish the value
 _MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; for the large motors of an Interbotix wx250s
@@ -141,7 +140,7 @@ def _finite(values: Any, what: str) -> Floats:
 
 
 class Actuation:
-    """Converts commands to joint efforts, and joint efforts to values that a driver reports."""
+    """Applies commands and reports efforts with the conventions of a driver."""
 
     def __init__(self, robot: MujocoRobot, driver: Driver) -> None:
         self.robot, self.driver = robot, driver
@@ -170,7 +169,7 @@ class Actuation:
         self.robot.command(efforts)
 
     def measured(self, efforts: Floats) -> Floats:
-        """Convert the efforts of the joints ``robot.state_names`` to reported values."""
+        """Convert the efforts of ``robot.state_names`` to the values that the driver reports."""
         measured = efforts * self.driver.measured_unit
         if not self.driver.measures_gravity:
             measured[self._state_index] -= self.driver.measured_unit * self._gravity()

@@ -1,31 +1,31 @@
 """
 The simulated robot as a ROS process: publishes ``joint_states`` and applies ``commands``.
 
-The robot behaves like an arm with joint_state_broadcaster and forward_command_controller. It
-publishes joint states, sorted by name, at a fixed rate. The robot applies every complete, finite
-command until the next such command.
+The robot behaves like an arm with joint_state_broadcaster and forward_command_controller. Joint
+states are sorted by name and published at a fixed rate. A command applies until the next complete,
+finite command.
 
-Brakes hold the robot until commands have arrived for a while, as on a real arm after power-on. A
-controller may therefore start late and ramp up its efforts without dropping the arm. The topic
-``brakes`` reports whether the brakes are on. Open brakes stay open, even if the commands stop,
-unless the sensors are lost.
+Brakes hold the robot until commands have arrived for a while. A controller may therefore start
+late and ramp up its efforts without dropping the arm. The topic ``brakes`` reports whether the
+brakes are on. Open brakes stay open if the commands stop, but not if the sensors are lost.
 
 With ``--drive``, a position controller replaces the brakes. The joint states then contain the
-efforts of this controller. The controller hands over to commands that have arrived for a while and
-have stopped rising. The controller takes over again when the commands stop, when a joint becomes
-too fast, and when the service ``~/hold`` is called. With ``--driver``, commands and measured
-efforts follow the conventions of a driver.
+efforts of this controller. The commands take over after they have arrived for a while and have
+stopped rising. The controller takes over again when the commands stop, when a joint becomes too
+fast, or when the service ``~/hold`` is called. With ``--driver``, commands and measured efforts
+follow the conventions of a driver.
 
 Four topics disturb the robot:
 
 - ``~/payload`` attaches a load to a link; a mass of 0 removes the load.
-- ``~/push`` applies a wrench to a link until the next message; the wrench is in the link's frame,
-  about the origin of this frame.
-- ``~/tilt`` turns the base within 3 s; the new attitude is a rotation vector from level [rad].
-- ``~/sensors``: false stops the joint states and applies the brakes, like drives that lose their
-  encoders; true resumes the joint states.
+- ``~/push`` applies a wrench to a link until the next message. The wrench is in the link frame,
+  about the origin of the frame.
+- ``~/tilt`` turns the base within 3 s. The message is a rotation vector relative to the level
+  base [rad].
+- ``~/sensors`` simulates a loss of the encoders: false stops the joint states and applies the
+  brakes, and true resumes the joint states.
 
-The topic ``imu`` has the readings of an IMU on the base, one reading per joint state.
+The topic ``imu`` has the measurements of an IMU on the base.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class RobotNode(Node):
             (Bool, '~/sensors', self._on_sensors),
         ):
             self.create_subscription(message, topic, callback, 10)
-        # The first call of a logger takes tens of milliseconds, which would delay the loop.
+        # Log before the loop starts: the first call of a logger takes tens of milliseconds.
         held, topic = 'stands with its brakes on', self.resolve_topic_name('commands')
         if drive is not None:
             awaits = (
@@ -144,8 +144,8 @@ class RobotNode(Node):
         self._elapsed += duration
         if self._began is None:
             self._began = self.get_clock().now().nanoseconds
-        # Stamps are in simulated time: after a pause of the machine, a stamp is the time of the
-        # state, not the later time of its publication.
+        # Stamps are in simulated time, because states are published late after a pause of the
+        # machine.
         stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()
         if self._clocks is not None:
             self._clocks.publish(Clock(clock=stamp))
@@ -166,7 +166,7 @@ class RobotNode(Node):
         gravity, angular_velocity, _ = self._tilt.motion(self._elapsed)
         self._imu.header.stamp = stamp
         _write(self._imu.angular_velocity, self._R_BS.T @ angular_velocity)
-        # The IMU is at the origin, about which the base turns: it measures only gravity.
+        # The IMU measures only gravity, because the base turns about the IMU.
         _write(self._imu.linear_acceleration, -self._R_BS.T @ gravity)
         self._imus.publish(self._imu)
 
@@ -228,7 +228,7 @@ class RobotNode(Node):
         return response
 
     def _ignore(self, fault: str) -> None:
-        """Log an ignored command, at most once per complaint period."""
+        """Log an ignored command, at most once per `COMPLAINT_PERIOD`."""
         self._ignored += 1
         now = time.monotonic()
         if now < self._complaint_due:
@@ -264,8 +264,8 @@ def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], boo
     """
     Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
-    After a pause of the machine, the simulation catches up at twice the normal speed and publishes
-    every state. In a burst, a subscriber that keeps only the latest state would miss earlier ones.
+    After a pause of the machine, the simulation catches up at twice the normal speed. A subscriber
+    that keeps only the latest state would miss states in a faster burst.
     """
     period = 1.0 / rate
     due = time.monotonic()
@@ -288,9 +288,13 @@ def main(arguments: list[str] | None = None) -> int:
         robot = load_urdf(options.robot)
         start = np.array(options.start or start_pose(robot, InverseDynamics(robot)))
         if len(start) != len(robot.joint_names):
-            raise SimulationError(f'--start: expected {len(robot.joint_names)} numbers')
+            raise SimulationError(
+                f'--start has {len(start)} numbers, expected {len(robot.joint_names)}'
+            )
         if len(options.armature) not in (1, len(start)):
-            raise SimulationError(f'--armature: expected 1 or {len(start)} numbers')
+            raise SimulationError(
+                f'--armature has {len(options.armature)} numbers, expected 1 or {len(start)}'
+            )
         hardware = MujocoRobot(
             options.robot, robot, start, options.friction, options.held, options.armature
         )
@@ -316,7 +320,7 @@ def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[]
         node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive, driver)
     executor = EventsExecutor()
     executor.add_node(node)
-    # Garbage collection of the imported objects would take 0.1 s: the node would time out.
+    # Garbage collection of the imported objects would take 0.1 s, and the node would time out.
     gc.collect()
     gc.freeze()
     try:

@@ -1,8 +1,8 @@
 """
-A smooth reference motion for any robot; it starts and ends at rest and stays within all limits.
+A smooth reference motion that starts and ends at rest and stays within all limits.
 
 Each joint oscillates about its start position at a frequency of its own. A quintic polynomial
-fades the sine in and out, so that position, velocity and acceleration are continuous at both ends.
+fades the sine in and out, so that position, velocity and acceleration are continuous.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, RobotModel
 from .mujoco.model import SimulationError
 
-LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough for inertial, Coriolis and gravity efforts
+LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: of revolute and prismatic joints
 FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: adjacent joints differ
 ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
 SPEED_USED = 0.5  # fraction of the velocity limit
-EFFORT_USED = 0.9  # fraction of the effort limit; the remainder is left for feedback
-STEEPEST_FADE = 1.875  # slope of the quintic at its middle
+EFFORT_USED = 0.9  # fraction of the effort limit; feedback needs the remainder
+STEEPEST_FADE = 1.875  # largest slope of the quintic
 
 
 class Reference(Protocol):
@@ -54,8 +54,8 @@ class Oscillation:
         """
         Return positions, velocities and accelerations at times since the start [s].
 
-        The results have the shape of ``time`` plus a last axis for the n joints. Before and after
-        the motion, the joints rest.
+        The results have the shape (..., n) if ``time`` has the shape (...). The joints rest before
+        and after the motion.
         """
         t = np.asarray(time, dtype=float)[..., np.newaxis]
         fade = self.fade
@@ -72,7 +72,7 @@ class Oscillation:
 
 
 def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and the first two derivatives."""
+    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and two derivatives."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return (
         x**3 * (10.0 + x * (6.0 * x - 15.0)),
@@ -86,9 +86,9 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     Choose a pose, shape (n,), that the drives can hold and in which the joints are weakly coupled.
 
     Two joints are strongly coupled if they move nearly the same mass in the same way, like two
-    wrist joints of a straight arm. When such joints turn in opposite directions, they move hardly
-    any mass, and every delay causes large errors. Raise a `SimulationError` if no joint can move
-    or the drives are too weak for all sampled poses.
+    wrist joints of a straight arm. If such joints turn in opposite directions, they move hardly
+    any mass, and every delay causes large errors. Raise a `SimulationError` if no joint can move,
+    or if the drives are too weak for all sampled poses.
     """
     if not robot.joint_names:
         raise SimulationError(f'robot {robot.name!r} has no joint that moves')
@@ -106,7 +106,7 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
 
 def independence(inertia: Floats) -> float:
-    """Scale a mass matrix to a unit diagonal; return the smallest eigenvalue, from 0 to 1."""
+    """Return the smallest eigenvalue of a mass matrix scaled to a unit diagonal, from 0 to 1."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
     return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
 
@@ -121,9 +121,9 @@ def _too_weak(robot: RobotModel, efforts: Floats) -> str:
         if abs(effort) > EFFORT_USED * limit
     ]
     return (
-        'the effort limits of the URDF are too small for the robot to hold its own weight and '
-        f'move: in the best of the sampled poses, {", ".join(weak)}; write the limits of the data '
-        'sheet into <limit effort>, and check the masses'
+        'the effort limits of the URDF are too small to hold and move the weight of the robot: in '
+        f'the best of the sampled poses, {", ".join(weak)}. Write the limits of the data sheet '
+        'into <limit effort>, and check the masses'
     )
 
 
@@ -149,7 +149,7 @@ def plan(
         axis=0,
     )
     if not swing.any():
-        raise SimulationError('no joint can move: every <limit> allows no motion or no velocity')
+        raise SimulationError('no joint can move within its limits of position and velocity')
     times = np.linspace(0.0, moving, 200)
     for _ in range(6):
         trajectory = Oscillation(start, swing, frequency, moving)
@@ -160,7 +160,7 @@ def plan(
 
 
 def effort_used(robot: RobotModel, efforts: Floats) -> float:
-    """Return the largest ratio of an effort to its limit, for efforts of shape (..., n)."""
+    """Return the largest ratio of effort to limit, for efforts of shape (..., n)."""
     negligible = 1e-6  # [N m or N], in place of a limit of 0
     ratios = abs(efforts) / np.maximum(robot.effort_limits, negligible)
     return float(np.max(ratios, initial=0.0))

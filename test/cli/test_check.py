@@ -16,7 +16,7 @@ def test_begins_with_a_verdict_and_draws_the_arm_on_request(tmp_path, capsys, si
     verdict, _, rest = output.partition('\n\n')
     assert ' '.join(verdict.split()) == (
         'Usable, no warnings. Gravity takes at most 32% of an effort limit (joint_2, joint_3). '
-        "Payload left at link 'tool0': 3.44 kg."
+        "Largest payload at link 'tool0': 3.44 kg."
     )
     assert rest.startswith("robot 'stanford'\n")
     assert "at the origin of link 'tool0', at rest in every pose: 3.44 kg" in output
@@ -73,7 +73,7 @@ def test_gravity_can_be_set(capsys):
     assert main(['check', str(STANFORD), '--gravity', '0', '0', '0']) == 0
     output = capsys.readouterr().out
     assert 'gravity: 0 0 0 m/s^2' in output
-    assert 'unlimited, because it loads no joint with an effort limit' in ' '.join(output.split())
+    assert 'unlimited, because no loaded joint has an effort limit' in ' '.join(output.split())
 
 
 def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):

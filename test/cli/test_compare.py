@@ -374,7 +374,7 @@ def broken(short, here, how):
             "cells are separated by ';', expected ','; the columns are time, joint_1.effort; "
             "expected 'time' [s]",
         ),
-        ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; none of them'),
+        ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; no topic has'),
         ('no topic', 'has no topic of type sensor_msgs/msg/JointState; it has /joint_states'),
         ('half a file', 'half.mcap: '),
         ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder, or one of these files'),

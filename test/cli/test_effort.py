@@ -434,7 +434,7 @@ def test_reads_recorded_joint_states(record):
     assert notes == (
         'topic /joint_states',
         '50 joint states',
-        'ignored 1 joint states that are not later than the previous one',
+        'ignored 1 joint states that are not later than the previous state',
         'ignored joints that the robot does not have: wheel',
         'ignored joint states of other publishers: joint_6',
     )

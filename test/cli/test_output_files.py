@@ -129,7 +129,7 @@ def test_files_of_the_user_are_not_replaced(command, name, here, capsys):
     before = contents(here)
     assert main(command.split()) == 2
     error = capsys.readouterr().err
-    assert f' {name}: exists, and is not an unchanged output' in error
+    assert f' {name}: already exists' in error
     assert '--force' in error
     assert contents(here) == before
 

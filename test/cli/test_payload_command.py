@@ -87,13 +87,13 @@ def test_efforts_without_gravity_need_an_empty_run(here, capsys):
     run = ['payload', str(URDF), 'loaded.csv', '--node-parameters', 'node.yaml']
     (here / 'loaded.csv').write_text('')
     assert main(run) == 1
-    assert 'do not contain gravity, so a recording without' in capsys.readouterr().err
+    assert 'do not contain gravity; use --empty' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ('loaded.csv', '--record loaded.csv: exists, and is not an unchanged output'),
+        ('loaded.csv', '--record loaded.csv: already exists'),
         ('loaded.csv --force --empty loaded.csv', 'is the input loaded.csv, which is never'),
         ('loaded.mcap', 'loaded.mcap: expected the name of a .csv file'),
         ('nowhere/loaded.csv', "nowhere/loaded.csv: folder 'nowhere' does not exist"),

@@ -156,7 +156,7 @@ def test_gravity_follows_the_topic(run_node, robot, dynamics):
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
     words = (
         "~/gravity: 1, 2, 9 m/s^2 in the frame of 'base_link' is opposite to the parameter "
-        'gravity, 0, 0, -9.81: expected the free-fall acceleration'
+        'gravity (0, 0, -9.81): expected the free-fall acceleration'
     )
     robot.wait_for_text(node, words)
     assert any('[WARN]' in line and words in line for line in node.output.splitlines())
@@ -234,7 +234,7 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
         ('gravity', Vector3Stamped(vector=Vector3(z=-1e4)), 'gravity is'),
         ('joint_trajectory_in', without_positions, 'there are no positions'),
         ('payload', payload(TIP, -1.0), 'mass is -1.0'),
-        ('joint_trajectory_in', WILD, 'the spline overflows: positions are too far apart'),
+        ('joint_trajectory_in', WILD, 'the spline overflows: points are too far apart'),
         ('payload', payload(TIP, math.nan), 'mass is nan'),
         ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'payload contains 1e+300'),
         ('gravity', Vector3Stamped(vector=Vector3(z=-101.0)), 'gravity is [0.0, 0.0, -101.0]'),

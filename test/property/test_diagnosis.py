@@ -499,7 +499,7 @@ def test_derivatives_are_accurate_and_described():
 @pytest.mark.parametrize(
     ('change', 'words'),
     [
-        ({'joint_names': tuple('abcde')}, "joint 'a', which robot 'branched' does not have"),
+        ({'joint_names': tuple('abcde')}, "joint 'a', expected only joints of robot 'branched'"),
         ({'positions': np.zeros((3, 5))}, 'positions have shape'),
         ({'efforts': np.full((2000, 5), np.nan)}, 'no joint has a measured effort'),
         ({'times': np.arange(2000.0)}, '1 samples/s, expected at least 20'),
@@ -571,4 +571,4 @@ def test_parameters_are_decimals_in_yaml():
         'coulomb_width': 0.01,
     }
     assert all(isinstance(x, float) for x in parameters['damping'] + parameters['coulomb'])
-    assert 'it"s: friction unknown, it rested' in text
+    assert 'it"s: friction unknown, because it rested' in text

@@ -120,7 +120,7 @@ def test_efforts_that_are_not_related_to_the_motion_are_not_accepted():
     result = identify_parameters(robot, [recording._replace(efforts=noise)])
     assert not result.accepted
     assert result.inertials == {}
-    assert 'hardly related to the motion: they vary by' in result.verdict
+    assert 'hardly related to the motion: on unseen data, the efforts vary by' in result.verdict
 
 
 @pytest.mark.long

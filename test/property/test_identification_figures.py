@@ -57,7 +57,7 @@ def test_residuals_are_printed_with_their_smoothing_and_for_raw_efforts():
         assert joint.unsmoothed == pytest.approx(0.1 * joint.measured, rel=0.2)
     assert 'smoothed over 140 ms' in residual_table(result).notes[0]
     raw = np.linalg.norm([joint.unsmoothed for joint in result.joints])
-    assert 'after smoothing over 140 ms; without smoothing,' in result.verdict
+    assert 'after smoothing over 140 ms. Without smoothing,' in result.verdict
     assert result.verdict.endswith(f' leaves {raw:.3g} N m')
 
 
@@ -103,7 +103,7 @@ def test_a_joint_that_is_worse_than_no_model_is_named():
     unseen.efforts[:, 1] *= -1.0
     result = identify_parameters(robot, [training], [unseen])
     name = robot.joint_names[1]
-    (found,) = [text for text, _ in result.warnings if 'more than was measured' in text]
+    (found,) = [text for text, _ in result.warnings if 'exceeds the measured effort' in text]
     assert name in found
 
 

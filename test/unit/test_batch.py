@@ -95,7 +95,7 @@ def test_errors_name_the_state_that_is_not_finite(sample, value, rng):
 def test_reports_overflow():
     states = np.zeros((3, 100, 5))
     states[1, 70, 0] = 1e200
-    with pytest.raises(JointStateError, match='the efforts overflow'):
+    with pytest.raises(JointStateError, match='the result overflows'):
         loaded_chain(*BASE_ROTATION).efforts(*states)
 
 

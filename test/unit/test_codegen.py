@@ -211,7 +211,7 @@ def test_arrays_of_wrong_size_are_rejected(shared, which, n):
 def test_overflow_is_reported(shared):
     _, generated = shared
     fill(generated, np.array([0.0, 1e300, 0.0])[:, None])
-    with pytest.raises(JointStateError, match='finite, but too large'):
+    with pytest.raises(JointStateError, match='is too large'):
         generated.update()
 
 
@@ -322,7 +322,7 @@ def test_mass_matrix_of_invalid_positions_is_an_error(shared):
             q[joint] = value
             with pytest.raises(JointStateError, match=rf"q of joint '\w+' is {value}"):
                 generated.mass_matrix(q)
-    with pytest.raises(JointStateError, match=r'q has shape \(5,\), the robot has 6 joints'):
+    with pytest.raises(JointStateError, match=r'q has shape \(5,\), but the robot has 6 joints'):
         generated.mass_matrix(np.zeros(5))
     with pytest.raises(JointStateError, match=r'out has shape \(5, 6\)'):
         generated.mass_matrix(np.zeros(6), np.empty((5, 6)))

@@ -272,7 +272,7 @@ def test_same_inputs_give_the_same_commands():
     [
         (
             ['low', 'middle'],
-            "'middle', expected joints of robot 'lift' that are not fixed .*: low, high",
+            "'middle', expected movable joints of robot 'lift' except mimic joints: low, high",
         ),
         (['low', 'low'], 'lists a joint twice: low, low'),
     ],

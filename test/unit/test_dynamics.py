@@ -164,16 +164,16 @@ def test_earlier_results_do_not_change():
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        (([0.0], [0.0, 0.0], [0.0, 0.0]), r'q has shape \(1,\), the robot has 2 joints'),
-        (([0.0, 0.0], np.zeros(3), [0.0, 0.0]), r'qd has shape \(3,\), the robot has 2 joints'),
-        ((np.zeros(3), np.zeros(3), np.zeros(3)), r'q has shape \(3,\), the robot has 2 joints'),
-        ((0.0, 0.0, 0.0), r'q has shape \(\), the robot has 2 joints'),
+        (([0.0], [0.0, 0.0], [0.0, 0.0]), r'q has shape \(1,\), but the robot has 2'),
+        (([0.0, 0.0], np.zeros(3), [0.0, 0.0]), r'qd has shape \(3,\), but the robot has 2'),
+        ((np.zeros(3), np.zeros(3), np.zeros(3)), r'q has shape \(3,\), but the robot has 2'),
+        ((0.0, 0.0, 0.0), r'q has shape \(\), but the robot has 2'),
         ((np.zeros((3, 2)), np.zeros((4, 2)), np.zeros(2)), r'\(4, 2\), \(2,\), which cannot'),
         ((['a', 'b'], np.zeros(2), np.zeros(2)), 'q is an array of .*, expected real numbers'),
         ((np.zeros(2), [0.0, np.nan], np.zeros(2)), "qd of joint 'elbow' is nan"),
         ((np.array([np.inf, 0.0]), np.zeros(2), np.zeros(2)), "q of joint 'shoulder' is inf"),
         ((np.zeros((2, 2)), np.zeros(2), [[0, 0], [0, np.inf]]), r"'elbow' is inf \(sample \(1,"),
-        ((np.zeros(2), np.array([1e200, 0.0]), np.zeros(2)), 'the efforts overflow'),
+        ((np.zeros(2), np.array([1e200, 0.0]), np.zeros(2)), 'the result overflows'),
     ],
 )
 def test_errors_name_the_invalid_argument(arguments, words):
@@ -192,7 +192,7 @@ def test_rejects_out_of_lower_precision(out):
 
 @pytest.mark.parametrize('shape', [(3,), (1, 2), (2, 2)])
 def test_errors_give_the_shape_of_out(shape):
-    with pytest.raises(JointStateError, match=r'out has shape .*, the result has'):
+    with pytest.raises(JointStateError, match=r'out has shape .*, expected'):
         InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=np.empty(shape))
 
 

@@ -141,7 +141,7 @@ def test_the_error_names_joint_speed_and_bound_and_the_way_out():
     (error,) = bench.log.errors
     assert error.startswith("joint 'roll' reaches ")
     assert 'more than 1.68 rad/s (velocity limit 0.84 in the URDF)' in error
-    assert 'Commands are ignored until they pause for 0.5 s: set dry_run of the node' in error
+    assert 'Commands are ignored until they pause for 0.5 s. To pause the commands' in error
 
 
 def test_bounds_are_twice_the_velocity_limits_within_reason():

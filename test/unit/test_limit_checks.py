@@ -147,8 +147,8 @@ def test_effort_limits_are_compared_with_the_weight_of_the_stretched_robot():
     found = effort_limit_warnings(reaching_arm([50.1 * MOST, 1e7, 49.9 * MOST]))
     (warning,) = found
     assert warning.subject == "joint 'turn' effort limit"
-    assert f'takes at most {MOST:.3g} N m: looks like a placeholder' in warning.text
-    assert warning.text.startswith(f'{50.1 * MOST:.7g} N m')
+    assert warning.text.endswith(f'stretched out takes at most {MOST:.3g} N m')
+    assert warning.text.startswith(f'{50.1 * MOST:.7g} N m looks like a placeholder')
     assert warning.hint.startswith('write the largest effort of the joint')
     assert f'{MOST:.3g}' == '102'
     assert effort_limit_warnings(reaching_arm([49.9 * MOST, 1e7, 49.8 * MOST])) == ()
@@ -206,12 +206,12 @@ def test_equal_round_limits_of_revolute_joints_are_placeholders():
         return [warning.text for warning in warnings]
 
     turning, sliding = (100.0, 'revolute'), (100.0, 'prismatic')
-    text = '3 of 3 effort limits of revolute joints are 100 N m: looks like a placeholder'
+    text = '3 of 3 effort limits of revolute joints are 100 N m, which looks like a placeholder'
     assert chain([turning] * 3) == [text]
     assert chain([turning] * 3 + [(7.0, 'prismatic')] * 3) == [text]
     assert chain([turning] * 2 + [sliding] * 3) == []
     # At least 80 % of five joints.
-    four = '4 of 5 effort limits of revolute joints are 100 N m: looks like a placeholder'
+    four = '4 of 5 effort limits of revolute joints are 100 N m, which looks like a placeholder'
     assert chain([turning] * 4 + [(30.0, 'revolute')]) == [four]
     assert chain([turning] * 3 + [(30.0, 'revolute')]) == []
     assert chain([(30.0, 'revolute')] * 5) == []

@@ -65,7 +65,7 @@ def test_errors_name_the_cause(dynamics, name):
         method([0.0, np.nan], 'base')  # which depends on no joint
     with pytest.raises(JointStateError, match=r"q of joint 's' is inf \(sample \(1,\)\)"):
         method([[0.0, 0.0], [np.inf, 0.0]], 'tool')
-    with pytest.raises(JointStateError, match=r'q has shape \(3,\), the robot has 2 joints'):
+    with pytest.raises(JointStateError, match=r'q has shape \(3,\), but the robot has 2 joints'):
         method([0.0, 0.0, 0.0], 'tool')
 
 

@@ -17,7 +17,7 @@ MODEL = load_urdf(STANFORD)
 def test_positions_without_finite_efforts_are_reported():
     loop = ControlLoop(MODEL)
     loop.collector.update(1.0, MODEL.joint_names, np.full(6, 1.7e308), np.zeros(6))
-    assert 'Not known: the efforts overflow' in describe_robot(loop)
+    assert 'Not known: the result overflows' in describe_robot(loop)
 
 
 def test_joints_that_have_not_been_reported_are_named():

@@ -353,7 +353,7 @@ def test_subscribers_that_do_not_match_are_named(loop):
     status = part(Monitor().report(0.05, loop, around), 'efforts')
     assert status.level is Level.WARN
     assert status.message.startswith('the commands have no subscribers')
-    assert '/bridge subscribes with another type or quality of service' in status.message
+    assert 'other type or quality of service: /bridge' in status.message
 
 
 def test_only_the_first_of_many_nodes_are_named(loop):

@@ -115,7 +115,7 @@ def test_a_position_that_is_not_finite_is_an_error(name, size, value, rng):
 
 @pytest.mark.parametrize('name', NAMES)
 def test_arguments_of_another_size_are_an_error(name):
-    with pytest.raises(JointStateError, match=r'q has shape \(4,\), the robot has 5 joints'):
+    with pytest.raises(JointStateError, match=r'q has shape \(4,\), but the robot has 5 joints'):
         quantities(loaded_chain(), *np.zeros((3, 4)))[name]()
 
 

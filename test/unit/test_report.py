@@ -95,7 +95,7 @@ def test_invalid_options_are_reported(options, error, words):
 def test_missing_effort_limits_are_reported_once():
     text = STANFORD.read_text().replace('effort="200"', 'effort="0"')
     (warning,) = warnings_about(load_urdf(text))
-    assert warning.text == '0 is read as unknown: the effort is not limited'
+    assert warning.text == '0 is read as unknown, so the effort is not limited'
     robot = load_urdf(ROOT / 'test' / 'robots' / 'continuous.urdf')
     unlimited = int(np.count_nonzero(np.isinf(robot.effort_limits)))
     warnings = [str(warning) for warning in warnings_about(robot)]
@@ -191,7 +191,7 @@ def chain_of(count, limit='{k}', mass='{k}', inertia=(1, 1, 1)):
 @pytest.mark.parametrize(
     ('urdf', 'words'),
     [
-        (chain_of(5), '5 of 5 links with mass have the inertia 1 1 1 kg m^2: l2, l3, l4, l5'),
+        (chain_of(5), '5 of 5 links with mass have the inertia 1 1 1 kg m^2 (l2, l3, l4, l5)'),
         (
             chain_of(5, inertia=(0.1, 0.2, 0.2)),
             '5 of 5 links with mass have the same inertia, ixx 0.1 kg m^2',
@@ -207,14 +207,14 @@ def chain_of(count, limit='{k}', mass='{k}', inertia=(1, 1, 1)):
         (chain_of(5, limit='1000'), '5 of 5 effort limits of revolute joints are 1000 N m'),
         (
             chain_of(3, limit='5000{k}'),
-            "joint 'j2' effort limit: 50002 N m, but holding the whole robot stretched out",
+            "joint 'j2' effort limit: 50002 N m looks like a placeholder, because holding the",
         ),
     ],
 )
 def test_placeholders_are_reported(urdf, words):
     found = warnings_about(load_urdf(urdf))
     (warning,) = [warning for warning in found if words in str(warning)]
-    assert warning.text.endswith('looks like a placeholder')
+    assert 'looks like a placeholder' in warning.text
     assert warning.hint
 
 

@@ -429,13 +429,13 @@ ELEMENT_PROBLEMS = [
     ([(J2_LIMIT, ''), ('"prismatic"', '"revolute"')], '<limit> is required for revolute joints'),
     ([(' effort="20"', '')], "joint 'j2': <limit> lacks effort"),
     ([(' effort="20" velocity="1"', '')], "joint 'j2': <limit> lacks effort, velocity"),
-    ([('lower="0" upper="0.5"', 'lower="1" upper="-1"')], 'limit lower 1 > upper -1'),
-    ([('lower="-1" upper="1"', 'upper="-1"')], 'limit lower 0 > upper -1; for a joint without'),
+    ([('lower="0" upper="0.5"', 'lower="1" upper="-1"')], 'lower limit 1 exceeds upper limit -1'),
+    ([('lower="-1" upper="1"', 'upper="-1"')], 'lower limit 0 exceeds upper limit -1; if there'),
     ([('upper="0.5"', 'upper="inf"')], "limit upper: 'inf' is not a finite decimal number"),
     ([('upper="0.5"', 'upper="high"')], "limit upper: 'high' is not a finite decimal number"),
     ([('velocity="1"', 'velocity="nan"')], "limit velocity: 'nan' is not a finite decimal number"),
     ([('effort="20"', 'effort="-10"')], "joint 'j2': limit effort -10 is negative"),
-    ([('effort="20"', 'effort="-1"')], 'limit effort -1 is negative; without a limit, write'),
+    ([('effort="20"', 'effort="-1"')], 'limit effort -1 is negative; if there is no limit, write'),
     ([('velocity="1"', 'velocity="-1"')], "joint 'j2': limit velocity -1 is negative"),
     # dynamics
     (
@@ -472,10 +472,10 @@ ELEMENT_PROBLEMS = [
     ),
     (
         [('<link name="l3"/>', link('l3', '<inertial/><inertial/>'))],
-        "line 17: link 'l3': 2 <inertial> elements, at most one is allowed",
+        "line 17: link 'l3': 2 <inertial> elements, expected at most one",
     ),
-    ([(L1_MASS, L1_MASS * 3)], "link 'l1' inertial: 3 <mass> elements, at most one is allowed"),
-    ([(J2_AXIS, J2_AXIS * 2)], "joint 'j2': 2 <axis> elements, at most one is allowed"),
+    ([(L1_MASS, L1_MASS * 3)], "link 'l1' inertial: 3 <mass> elements, expected at most one"),
+    ([(J2_AXIS, J2_AXIS * 2)], "joint 'j2': 2 <axis> elements, expected at most one"),
     ([(L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9')], "com of 'j1' is not finite"),
 ]
 
@@ -528,10 +528,11 @@ def test_all_problems_are_listed_in_file_order():
     )
     assert problems_of(text) == (
         "line 7: link 'l1' inertial mass: 'two' is not a finite decimal number",
-        "line 20: joint 'j1': 2 <child> elements, at most one is allowed",
-        "line 29: joint 'j2': limit effort -1 is negative; without a limit, write a large number",
+        "line 20: joint 'j1': 2 <child> elements, expected at most one",
+        "line 29: joint 'j2': limit effort -1 is negative; if there is no limit, write a large "
+        'number',
         "line 29: joint 'j2' limit velocity: 'x' is not a finite decimal number",
-        "line 29: joint 'j2': limit lower 1 > upper -1",
+        "line 29: joint 'j2': lower limit 1 exceeds upper limit -1",
         "line 32: duplicate joint name 'j1'",
         "2 root links: 'base', 'island'; expected one",
     )
@@ -704,7 +705,7 @@ WARNINGS = [
     ),
     (
         [(L1_INERTIA, L1_INERTIA.replace('ixy="0"', 'ixy="0.03"'))],
-        "link 'l1' inertial: inertia is not positive (principal moments -0.01, 0.01, 0.05 kg m^2)",
+        "link 'l1' inertial: a principal moment of inertia is negative (-0.01, 0.01, 0.05 kg m^2)",
     ),
     (
         [(L1_MASS, '<mass value="0"/>')],
@@ -738,7 +739,7 @@ WARNINGS = [
     ([('lower="0" upper="0.5"', 'upper="0.5"')], "joint 'j2': <limit> has no lower; 0 is used"),
     (
         [('effort="20"', 'effort="0"')],
-        "line 29: joint 'j2' effort limit: 0 is read as unknown: the effort is not limited",
+        "line 29: joint 'j2' effort limit: 0 is read as unknown, so the effort is not limited",
     ),
     ([('velocity="1"', 'velocity="0"')], "joint 'j2' velocity limit: 0 is read as unknown"),
 ]
@@ -782,7 +783,7 @@ def test_joint_that_moves_no_mass_is_reported():
         ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 1"/>'),
     )
     (warning,) = load_urdf(text).warnings
-    assert str(warning) == "joint 'jf': moves no mass: its gravity effort is always zero"
+    assert str(warning) == "joint 'jf': moves no mass, so its gravity effort is always zero"
 
 
 def test_robot_that_moves_no_mass_is_reported_once():

@@ -1,4 +1,4 @@
-"""Compares recordings with the model, fits friction, and diagnoses differences."""
+"""Compares recorded efforts with the model, and diagnoses the differences."""
 
 from .fault import Change, Fault, FaultKind, GravityConvention
 from .friction import friction_parameters, FrictionFit

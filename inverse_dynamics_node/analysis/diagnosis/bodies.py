@@ -1,11 +1,10 @@
 """
-Checks whether several links have wrong inertial parameters, and whether other causes exist.
+Checks whether wrong inertial parameters of several links explain the measured efforts.
 
 The parameters of all links are fitted near their values in the model, together with friction,
-rotors and a delay. Links that are fitted to one half of the recording predict the other half. If
-this prediction is far better than a simpler explanation, the simpler explanation is not credible.
-A payload, a mounting or an offset is added if the links would need far larger errors without this
-cause.
+rotors and a delay. A payload, a mounting or an offset is added only if the fit becomes far more
+likely. Links that are fitted to one half of the recording predict the other half. A simpler
+explanation is rejected if this prediction is far better.
 """
 
 from __future__ import annotations
@@ -33,35 +32,35 @@ from .joint_samples import (
 from .loads import PARAMETERS
 from .regression_data import CandidateModel, LIKE_A_LOAD, RegressionData, RobotFit
 
-MOST_SAMPLES = 800  # approximate largest number of samples that the fit uses
-BLOCKS = 10  # contiguous blocks; links fitted to every second block predict the other blocks
-SEGMENTS = 40  # contiguous segments; a segment with a bad fit has less weight
-ROUNDS = 4  # links and weights are fitted in turn
+MOST_SAMPLES = 800  # approximate number of samples that the fit uses
+BLOCKS = 10  # every second block of the recording belongs to the same half
+SEGMENTS = 40  # segments of the recording; segments with a bad fit have less weight
+ROUNDS = 4  # number of times that links and weights are fitted in turn
 SPREADS = (0.1, 0.2, 0.3, 0.5)
-"""Assumed relative standard deviations of the masses; the most likely one is chosen."""
+"""Possible relative standard deviations of the masses. The most likely value is chosen."""
 SIZE = 0.2  # [m], standard deviation of centres of mass and radii of gyration
-LIGHTEST = 0.1  # [kg]; the prior of a lighter body is the prior of a body with this mass
+LIGHTEST = 0.1  # [kg]; lighter bodies have the prior of a body with this mass
 FRICTION = 10.0  # standard deviation of friction, relative to the effort of the joint
 OFFSET = 0.3  # standard deviation of offsets, relative to the effort of the joint
-LOUD = 4.0  # segments whose squares exceed this multiple of the median have little weight
+LOUD = 4.0  # segments with more than this multiple of the median square have little weight
 HEAVIEST = 10.0  # [kg], standard deviation of payloads
 STRENGTH = 0.02  # relative standard deviation of the magnitude of gravity
-UNEXPLAINED = 0.01  # fraction of the squares; if less remains, the links are accurate enough
-SMALL = 4e-4  # fraction of the squares (2 % RMS); if less remains, fitted links are not considered
+UNEXPLAINED = 0.01  # links are accurate if less than this fraction of the squares remains
+SMALL = 4e-4  # fitted links are ignored if another explanation leaves less than this fraction
 BETTER = 0.35
 """
-Largest ratio of the unexplained squares with fitted links to the unexplained squares without
-fitted links. The limit applies if all causes that were found before are still needed.
+Fitted links must leave less than this fraction of the squares that another explanation leaves.
+The limit applies if the fit with links still needs all causes of the other explanation.
 """
-CHANGING = 2.0  # links may leave this multiple of the squares that a changing gravity leaves
-NEEDED = 10.0  # least increase of the log evidence that justifies a cause beside wrong links
-CERTAIN = 5.0  # a value is certain if it exceeds this many standard errors
-ROTOR = 0.05  # fraction of a joint's RMS effort; rotors with less effort are not reported
+CHANGING = 2.0  # links may leave this multiple of the squares that a tilting base leaves
+NEEDED = 10.0  # least increase of the log evidence for an additional cause
+CERTAIN = 5.0  # values above this number of standard errors are certain
+ROTOR = 0.05  # rotors with less than this fraction of the RMS effort are not reported
 DELAY = 0.1  # [s], standard deviation of delays
 
 
 class Bodies(NamedTuple):
-    """Fitted links, with residuals from two-fold cross-validation."""
+    """Fitted links, and their residuals in two-fold cross-validation."""
 
     robot_fit: RobotFit
     """Explanation of the efforts that wrong links do not explain."""
@@ -76,21 +75,18 @@ class Bodies(NamedTuple):
     delay_error: float
     """Standard error of the delay [s]."""
     unexplained: float
-    """
-    Unexplained fraction of the squares in cross-validation. Segments of the recording with a bad
-    fit have less weight.
-    """
+    """Unexplained fraction of the squares, with less weight for segments with a bad fit."""
     unexplained_anywhere: float
-    """Like ``unexplained``, but all samples have the same weight."""
+    """Unexplained fraction of the squares, with the same weight for all samples."""
     are_wrong: bool
-    """Whether the model with friction leaves more unexplained than accurate links would."""
+    """Whether friction alone leaves more than the fraction `UNEXPLAINED` of the squares."""
     has_own_gravity: bool
     """Whether the errors of the links also affect gravity in the measured efforts."""
 
     def explain_more(
         self, data: RegressionData, before: RobotFit, fault: FaultInterval | None
     ) -> bool:
-        """Return whether wrong links explain far more than the explanation found before."""
+        """Return whether wrong links explain far more than `before` or `fault`."""
         if fault is None:
             left = data.unexplained(before)
         elif fault.kind is FaultKind.MOUNTING:
@@ -102,13 +98,13 @@ class Bodies(NamedTuple):
         return self.unexplained < (BETTER if self._confirms(before) else 1.0) * left
 
     def confirmed(self, fault: FaultInterval | None) -> FaultInterval | None:
-        """Return `fault`, or None if `fault` is an apparent tilt that wrong links explain."""
+        """Return `fault`, or None if `fault` is a tilt that wrong links also explain."""
         if fault is None or fault.kind is not FaultKind.MOUNTING:
             return fault
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
 
     def _confirms(self, before: RobotFit) -> bool:
-        """Return whether every cause in `before` is still needed when the links are fitted."""
+        """Return whether the fit with links still needs every cause in `before`."""
         candidate = before.candidate
         if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
             return False
@@ -123,9 +119,9 @@ def fit_bodies(
     compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
 ) -> Bodies | None:
     """
-    Fit the inertial parameters of all links; return None if the samples are not sufficient.
+    Fit all links, or return None if the samples are not sufficient.
 
-    `data` contains the samples of the compared efforts, and `robot_fit` is the explanation so far.
+    `data` contains the samples of `compared`, and `robot_fit` is the explanation so far.
     """
     if data.is_too_short or data.is_at_rest:
         return None
@@ -136,7 +132,7 @@ def fit_bodies(
         and not robot_fit.is_scaled
         and not any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
     )
-    # Wrong links may look like a wrong sign, unit or order. The reverse is not possible.
+    # Also start without wrong signs, units or orders, because wrong links can look similar.
     starts = (robot_fit,) if is_plain else (plain, robot_fit)
     # A driver may compensate gravity for the real links, or for the links of the model.
     found = [
@@ -151,8 +147,8 @@ class _Problem:
     """
     A linear regression with weighted rows.
 
-    The unknowns are the changes of all link parameters; friction, rotor and offset of each joint;
-    gravity; payloads; and the delay of the efforts.
+    The unknowns are gravity, payloads, the delay of the efforts, and changes of the link
+    parameters. Each joint also has unknown friction, rotor inertia and offset.
     """
 
     def __init__(
@@ -217,10 +213,10 @@ class _Problem:
 
     def _products(self, position: int) -> tuple[Integers, Integers, Floats]:
         """
-        Return first rows of the segments of a joint, nonzero columns, and their Gram matrices.
+        Return the first row of each segment, the nonzero columns, and the Gram matrices.
 
-        The last column is the target. The Gram matrix of each segment is computed only once,
-        because all samples of a segment have the same weight.
+        Each Gram matrix is computed only once because all samples of a segment have the same
+        weight. The last column is the target.
         """
         rows = np.flatnonzero(self.joint == position)
         first = np.unique(self.segment[rows], return_index=True)[1]
@@ -230,7 +226,7 @@ class _Problem:
         return rows[first], columns, np.array(products)
 
     def _prior(self, dynamics: InverseDynamics) -> Floats:
-        """Return the inverse of the prior covariance of all unknowns."""
+        """Return the inverse prior covariance of all unknowns."""
         masses = np.maximum(dynamics.robot.mass[1:], LIGHTEST)
         size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
         deviation = np.full(self.delay + 1, DELAY)
@@ -251,7 +247,7 @@ class _Problem:
         return prior
 
     def solve(self) -> Bodies:
-        """Fit the links, and choose which other causes to add."""
+        """Fit the links, and add other causes that are needed."""
         causes = []
         if self.has_gravity:
             loads = range(self.payloads, self.delay, 4)
@@ -284,7 +280,7 @@ class _Problem:
         return system[:-1, :-1], system[:-1, -1]
 
     def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
-        """Fit the unknowns in the mask `used`; choose the most likely accuracy of the links."""
+        """Fit the unknowns in the mask `used`, with the most likely accuracy of the links."""
         from scipy.linalg import lu_factor, lu_solve
 
         products, vector = system[0][np.ix_(used, used)], system[1][used]
@@ -326,14 +322,14 @@ class _Problem:
             residual = self.target - self.matrix @ fit.solution
             relative = residual**2 / variance[self.joint]
             sizes = mean(self.segment, relative, np.ones_like(relative), SEGMENTS)
-            # A push during a few segments says nothing about the links.
+            # A push during a few segments must not change the links.
             loudness = sizes / (LOUD * max(float(np.median(sizes)), 1e-12))
             trust = (1.0 / (1.0 + loudness**2))[self.segment]
             variance = mean(self.joint, residual**2, trust, len(moving)) + floor
         return np.asarray(trust / variance[self.joint] / self.dependence)
 
     def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
-        """Return a model with a fitted cause, or None if the cause is impossible or uncertain."""
+        """Return a model with a fitted cause, or None if the cause is not credible."""
         data, solution, errors = self.data, fit.solution[cause], fit.errors[cause]
         if cause.start == self.gravity:
             gravity = data.gravity + solution
@@ -347,7 +343,7 @@ class _Problem:
         return data.loaded(k, self.base, np.array([mass, *com]), errors)
 
     def _bodies(self, fit: _Fit, weights: Floats, candidate: CandidateModel) -> Bodies:
-        """Return the fitted links, with residuals from two-fold cross-validation."""
+        """Return the fitted links, and their residuals in two-fold cross-validation."""
         data, before = self.data, self.robot_fit
         after = np.array([each.rms for each in before.fits])
         residual = np.zeros_like(self.target)
@@ -398,9 +394,9 @@ class _Fit(NamedTuple):
     used: Booleans
     """Mask of the unknowns that were fitted."""
     solution: Floats
-    """Values of all unknowns; zero if an unknown was not fitted."""
+    """Values of all unknowns, with zero for unknowns that were not fitted."""
     errors: Floats
-    """Standard errors of all unknowns; zero if an unknown was not fitted."""
+    """Standard errors of all unknowns, with zero for unknowns that were not fitted."""
     evidence: float
     """Logarithm of the marginal likelihood of the efforts, up to a constant."""
 
@@ -413,7 +409,7 @@ def _with(used: Booleans, *causes: slice) -> Booleans:
 
 
 def _without_doubtful_scale(fit: JointFit) -> JointFit:
-    """Remove the scale from a fit if wrong links may be the cause of this scale."""
+    """Remove a scale from a fit if wrong links may cause this scale."""
     if not LIKE_A_LOAD[0] < fit.scale < LIKE_A_LOAD[1]:
         return fit
     return fit._replace(sensor_fault=fit.sensor_fault._replace(is_scaled=False))

@@ -1,4 +1,4 @@
-"""Compares measured and modelled efforts of a recorded motion, with corrections and friction."""
+"""Measured and modelled efforts of a recorded motion, with corrections and friction."""
 
 from __future__ import annotations
 
@@ -25,22 +25,21 @@ from .joint_samples import CREDIBLE, JointSignals, sample_joints
 from .loads import loaded_links, PARAMETERS, point_mass_parameters
 from .regression_data import RegressionData, RobotFit
 
-SAMPLES_PER_WINDOW = 8  # for fits; samples within one smoothing window are not independent
-INERTIAS = 50  # number of samples at which the effect of noisy accelerations is computed
-CONSTANT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
+SAMPLES_PER_WINDOW = 8  # fits use this number of samples of each smoothing window
+INERTIAS = 50  # approximate number of mass matrices for the estimate of noise
+CONSTANT = 1e-9  # variations below this fraction of the largest effort are rounding errors
 ALL = slice(None)
 
 
 class ComparedEfforts:
     """
-    Measured and modelled efforts of one motion, with one column for each compared joint.
+    Measured and modelled efforts at K times, with one column for each of c compared joints.
 
-    The motion contains m of the n joints of the robot, and `index` holds their indices in
+    The motion contains m joints, and `index` contains the indices of these joints in
     ``robot.joint_names``. Joints that were not recorded are assumed to rest at zero. The dynamics
-    include all known loads. An unknown load may be on `link`, or on the tips of the tree if `link`
-    is None. `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s]. The
-    `convention` says whether measured efforts contain gravity, and the modelled efforts follow the
-    convention.
+    include all known loads. An unknown load may act on `link`, or on the tips of the tree if
+    `link` is None. `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s].
+    The `convention` says whether measured and modelled efforts should contain gravity.
     """
 
     def __init__(
@@ -94,9 +93,9 @@ class ComparedEfforts:
 
     def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
         """
-        Return a comparison in which reversed axes and a delay [s] of the efforts are corrected.
+        Return a comparison without reversed axes and without a delay [s] of the efforts.
 
-        The signs, shape (m,), are -1 for joints with a reversed axis, and otherwise 1.
+        The signs, shape (m,), are -1 for reversed axes and 1 for other axes.
         """
         motion = self.motion
         efforts = signs * _later(motion, motion.efforts, delay)
@@ -105,14 +104,15 @@ class ComparedEfforts:
         return ComparedEfforts(self.dynamics, motion, *self._arguments)
 
     def distorted(self, efforts: Floats, signs: Floats, delay: float) -> Floats:
-        """Return efforts, shape (K, c), with reversed axes and a delay [s]."""
+        """Apply reversed axes and a delay [s] to efforts of shape (K, c)."""
         return signs[self.compared] * _later(self.motion, efforts, -delay)
 
     def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
         """
-        Return the comparison with a change of inertial parameters of b links, shape (10 b,).
+        Return the comparison with changed inertial parameters of b links.
 
-        `has_own_gravity` says whether the change also affects gravity in the measured efforts.
+        `change` has the shape (10 b,). `has_own_gravity` says whether the change also affects
+        gravity in the measured efforts.
         """
         other = copy(self)
         other.rigid, other.gravity = self.rigid.copy(), self.gravity.copy()
@@ -128,7 +128,7 @@ class ComparedEfforts:
         return other
 
     def rates(self, robot_fit: RobotFit) -> Floats:
-        """Return the time derivatives of the varying explained efforts [N m/s or N/s]."""
+        """Return the time derivatives of the explained efforts [N m/s or N/s]."""
         efforts = corrected_efforts(self, robot_fit)[1][:, self.varying]
         columns = self.qd[:, self.varying], self.direction[:, self.varying]
         for j, fit in enumerate(robot_fit.fits):
@@ -139,7 +139,7 @@ class ComparedEfforts:
         )
 
     def inside(self, fault: FaultInterval) -> Booleans:
-        """Return which samples are in the interval of a fault."""
+        """Return a mask of the samples in the interval of a fault."""
         begin, end = fault.interval
         return np.asarray((self.motion.times >= begin) & (self.motion.times <= end))
 
@@ -148,7 +148,7 @@ class ComparedEfforts:
         return not obstacle(self.qd[:, c], self.period, self.width)
 
     def used(self, c: int) -> Booleans:
-        """Return which samples of a joint are compared."""
+        """Return a mask of the compared samples of a joint."""
         if not self.moves(c):
             return np.ones(len(self.qd), dtype=bool)
         return is_moving(self.qd[:, c], self.width)
@@ -158,7 +158,7 @@ class ComparedEfforts:
         return bool(self.robot.is_prismatic_joint[self.index[c]])
 
     def regression_data(self) -> RegressionData:
-        """Return the samples of all joints with varying efforts, including regression columns."""
+        """Return the regression data of all joints with varying efforts."""
         some, varying = self.fit_samples, self.varying
         signals = JointSignals(
             [self.index[c] for c in varying],
@@ -191,7 +191,7 @@ class ComparedEfforts:
         )
 
     def _noise(self) -> Floats:
-        """Return the noise of measured minus modelled efforts, shape (c,) [N m or N]."""
+        """Return the noise of the residual of each joint, shape (c,) [N m or N]."""
         some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
         inertia = self.dynamics.mass_matrix(self.states[0][some])
         modelled: Floats = inertia[:, :, self.all_index] * self.motion.qdd_noise
@@ -199,8 +199,9 @@ class ComparedEfforts:
         return np.hypot(np.sqrt(squares[self.index]), self.motion.effort_noise[self.compared])
 
     def _varying(self) -> list[int]:
-        """Return the columns in which the measured effort varies by more than rounding errors."""
-        # Compare with the largest effort: an unloaded joint may have only rounding errors.
+        """Return the indices of joints with varying measured efforts."""
+        # Compare with the largest effort of all joints, because an unloaded joint may have only
+        # rounding errors.
         largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
         variation = np.ptp(self.measured, axis=0)
         return [c for c in range(len(self.names)) if variation[c] > CONSTANT * largest]
@@ -208,11 +209,11 @@ class ComparedEfforts:
 
 def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> Booleans:
     """
-    Return which joints have a constant measured effort that contradicts the model.
+    Return a mask of joints with a constant measured effort that contradicts the model.
 
-    Efforts have shape (K, c). A constant measured effort contradicts a modelled effort that varies
-    by more than `least` [N m or N]. A measured effort of zero contradicts a modelled effort larger
-    than `least`.
+    Efforts have the shape (K, c). A constant measured effort contradicts a modelled effort that
+    varies by more than `least` [N m or N]. A measured effort of zero contradicts a modelled effort
+    above `least`.
     """
     largest = np.max(np.abs([measured, modelled]))
     is_constant = np.ptp(measured, axis=0) <= CONSTANT * largest
@@ -277,7 +278,7 @@ def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
 
 
 def as_recorded(compared: ComparedEfforts, efforts: Floats, robot_fit: RobotFit) -> Floats:
-    """Return efforts as the driver would record them, with all sensor faults."""
+    """Apply all sensor faults to efforts."""
     recorded: Floats = robot_fit.unit * efforts
     for j, (c, fit) in enumerate(zip(compared.varying, robot_fit.fits, strict=True)):
         source = compared.varying[robot_fit.source[j]]
@@ -294,7 +295,7 @@ def fit_joints(
     obscured: dict[int, str],
     used: Booleans | slice = ALL,
 ) -> list[FrictionFit]:
-    """Fit the friction of each joint; the residual contains rows of the used samples only."""
+    """Fit the friction of each joint to the residuals of the used samples."""
     fits = []
     for c in range(len(compared.names)):
         fit = fit_friction(
@@ -312,7 +313,7 @@ def fit_joints(
 
 
 def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
-    """Return, by joint, the reason why measured efforts do not reveal the friction."""
+    """Return the reasons for unknown friction, by index of the joint."""
     reasons = dict.fromkeys(compared.constant, 'the effort of this joint was not measured')
     is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
     for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
@@ -326,7 +327,7 @@ def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit width and load friction where friction is known; gear loads have the shape (K, c)."""
+    """Fit width and load friction of each joint, given gear loads of shape (K, c)."""
     return [
         fit_shape(
             fit,
@@ -342,7 +343,7 @@ def with_shapes(
 
 
 def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: Floats) -> Floats:
-    """Return the effort of friction and offset of one joint, given the load on its gear."""
+    """Return friction plus offset of one joint, given the load on the gear."""
     qd = compared.qd[:, c]
     if not fit.has_shape:
         return fit.efforts(qd, compared.direction[:, c])
@@ -352,7 +353,7 @@ def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: 
 
 
 def with_friction_only(compared: ComparedEfforts) -> Floats:
-    """Return the modelled efforts plus friction that is fitted as if there were no faults."""
+    """Fit friction without any faults, and return the modelled efforts with this friction."""
     efforts: Floats = compared.rigid.copy()
     for c, fit in enumerate(fit_joints(compared, compared.measured - compared.rigid, {})):
         efforts[:, c] += fit.damping * compared.qd[:, c]

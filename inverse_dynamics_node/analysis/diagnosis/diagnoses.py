@@ -1,9 +1,9 @@
 """
-Splits an explanation of measured efforts into faults, and finds the effect of each fault.
+Splits an explanation of measured efforts into faults.
 
-A reversed axis negates position, velocity and effort of a joint. The effort of this joint looks
-right, but the efforts of the joints before and after it in the tree are wrong. Therefore the
-search for an explanation is repeated with reversed axes.
+An *explanation* is a `RobotFit`. A reversed axis negates position, velocity and effort of a joint.
+The effort of this joint looks right, but the efforts of neighbouring joints look wrong. Therefore
+the search for an explanation is repeated with reversed axes.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from .joint_samples import CREDIBLE, JointFit, NO_FAULT, PARAMETER_COST
 from .loads import MAX_COM_ERROR
 from .regression_data import RegressionData, RobotFit
 
-CHANGED = 0.9  # a fault affects a joint if correction leaves a smaller fraction of the residual
-MOST_UNEXPLAINED = 0.5  # fraction of the squares; more is reported even if all joints were at rest
-FAR = 2.0 * np.pi  # [rad], one turn; positions farther outside the limits have a wrong unit
-NOT_EXPLAINED = 9.0  # times the floor; if less remains at each joint, no axis is reversed
-LARGE = 0.05  # fraction of the squares; more is not explained, unless below the floor
-AXIS_PARAMETERS = 2  # a reversed axis has the weight of two parameters, because it is rare
+CHANGED = 0.9  # a fault affects a joint if the correction leaves a smaller fraction of the RMS
+MOST_UNEXPLAINED = 0.5  # unexplained fraction above which joints at rest are reported
+FAR = 2.0 * np.pi  # [rad]; positions farther outside the limits have a wrong unit
+NOT_EXPLAINED = 9.0  # reversed axes are tried if more than this multiple of the floor remains
+LARGE = 0.05  # reversed axes are also tried if more than this fraction of the squares remains
+AXIS_PARAMETERS = 2  # reversed axes are rare, and cost as much as two parameters
 
 
 # ---- Directions of axes --------------------------------------------------------------------
 
 
 class Axes(NamedTuple):
-    """Directions of the axes, and the explanation of the efforts with these directions."""
+    """Signs of the axes, and the explanation of the efforts with these signs."""
 
     signs: Floats
-    """Sign of each axis, shape (n,): -1 if reversed, otherwise 1."""
+    """Signs of the axes, shape (n,), which are -1 for reversed axes and otherwise 1."""
     data: RegressionData
     robot_fit: RobotFit
 
@@ -50,7 +50,7 @@ def search_axes(
     """
     Find the axes whose reversal improves the explanation of the efforts.
 
-    `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
+    `with_signs` returns the data for given signs, shape (n,), or None to reject the signs.
     """
     best = Axes(np.ones(len(data.joints)), data, data.explain())
     while not data.is_too_short and best.data.is_open(best.robot_fit, NOT_EXPLAINED, LARGE):
@@ -93,7 +93,7 @@ def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) ->
 
 
 def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> Fault:
-    """Return the fault that acts during an interval of the recording."""
+    """Return the fault that acts during an interval."""
     if fault.kind is FaultKind.MOUNTING and fault.gravity is not None:
         angles = [angle_between(each, fault.data.gravity) for each in fault.gravity]
         steepest = int(np.argmax(angles))
@@ -108,13 +108,13 @@ def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> Fault:
 
 
 def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Fault:
-    """Return the fault that describes several wrong links."""
+    """Return the fault for several wrong links."""
     before, after = bodies.before.tolist(), bodies.after.tolist()
     return Fault(FaultKind.BODIES, changes=_changes(data, names, before, after))
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
-    """Return a fault if axes are reversed; `data` contains the samples as recorded."""
+    """Return a fault if axes are reversed, given the data as recorded."""
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
@@ -142,7 +142,7 @@ def _changes(
 
 
 def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> list[Fault]:
-    """Return a fault if positions are so far outside the limits that their unit must be wrong."""
+    """Return a fault if positions are far outside the position limits."""
     far = [
         each
         for each in implausible_positions(robot, q, names)
@@ -156,7 +156,7 @@ def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> 
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
-    """Report the given joints, whose measured efforts are constant."""
+    """Return a fault for joints with constant efforts, if any joints are given."""
     if not values:
         return []
     return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]
@@ -175,7 +175,7 @@ class _Faults:
         ]
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
-        """Return the joints whose residuals grow if one fault is left out of the explanation."""
+        """Return the effects of one fault, given the fit without this fault."""
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
         return _changes(self.data, self.names, before, after, self.robot_fit.source)
 
@@ -256,7 +256,7 @@ class _Faults:
         )
 
     def sensor_fault(self, kind: FaultKind, flag: str) -> Fault | None:
-        """Return one fault that lists all joints with this kind of sensor fault."""
+        """Return one fault for all joints with this kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return None
@@ -275,7 +275,7 @@ class _Faults:
         )
 
     def unexplained(self) -> Fault | None:
-        """Return a fault for unexplained efforts; at rest, only if most effort is unexplained."""
+        """Return a fault for the joints with unexplained efforts."""
         if self.data.is_too_short:
             return None
         left = [
@@ -301,7 +301,7 @@ class _Faults:
 
 
 def _value(fit: JointFit, kind: FaultKind) -> float:
-    """Return the number that describes one kind of sensor fault."""
+    """Return the fitted value of a sensor fault."""
     if kind is FaultKind.SIGN:
         return -1.0
     values = {

@@ -1,4 +1,4 @@
-"""Causes of differences between measured and modelled efforts, for `compare` and `watch`."""
+"""A fault is a cause of a difference between measured and modelled efforts."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ SAME_FACTOR = 1.1  # factors with a smaller ratio are regarded as equal
 
 
 class FaultKind(enum.Enum):
-    """A cause of a difference between measured and modelled efforts."""
+    """A kind of fault."""
 
     SIGN = 'sign'
     SCALE = 'scale'
-    """The efforts of some joints are in another unit, or are motor currents."""
+    """The efforts of some joints are in a wrong unit, or are motor currents."""
     POSITIONS = 'positions'
-    """The positions are in another unit, such as degrees."""
+    """The positions are in a wrong unit, such as degrees."""
     REVERSED_AXIS = 'reversed_axis'
-    """Position, velocity and effort of a joint have the opposite sign."""
+    """Position, velocity and effort of a joint have the wrong sign."""
     DELAY = 'delay'
     """The efforts are delayed relative to the positions."""
     UNIT = 'unit'
@@ -25,24 +25,24 @@ class FaultKind(enum.Enum):
     ORDER = 'order'
     """The efforts of some joints are recorded under the names of other joints."""
     NOT_MEASURED = 'not_measured'
-    """The measured effort never changes, although the modelled effort does."""
+    """The measured effort is constant and contradicts the model."""
     OFFSET = 'offset'
     ROTOR_INERTIA = 'rotor_inertia'
     GRAVITY_COMPENSATED = 'gravity_compensated'
-    """The measured efforts lack gravity."""
+    """The measured efforts unexpectedly contain no gravity."""
     GRAVITY_MEASURED = 'gravity_measured'
-    """The measured efforts contain gravity, although the driver should exclude gravity."""
+    """The measured efforts unexpectedly contain gravity."""
     MOUNTING = 'mounting'
-    """The direction of gravity differs from that of the model."""
+    """The direction of gravity differs from the direction in the model."""
     PAYLOAD = 'payload'
     BODIES = 'bodies'
-    """The masses of several links are wrong."""
+    """The inertial parameters of several links are wrong."""
     EXTERNAL_FORCE = 'external_force'
     UNEXPLAINED = 'unexplained'
 
 
 class GravityConvention(NamedTuple):
-    """Which efforts contain gravity, according to the parameters of the node."""
+    """Whether commanded and measured efforts should contain gravity."""
 
     in_commands: bool = True
     in_measured: bool = True
@@ -52,52 +52,57 @@ WITH_GRAVITY = GravityConvention()
 
 
 class Change(NamedTuple):
-    """RMS residual of one joint, with fitted friction, before and after correction of a fault."""
+    """
+    RMS residual of one joint, before and after a fault is corrected.
+
+    Friction is fitted in both cases. All values are in the unit of the recorded efforts.
+    """
 
     joint: str
     is_prismatic: bool
     before: float
-    """RMS residual without the correction, in the unit of the recording [N m or N]."""
     after: float
-    """RMS residual with the correction, in the unit of the recording [N m or N]."""
     measured: float
-    """RMS of the measured effort, in the unit of the recording [N m or N]."""
+    """RMS of the measured effort."""
 
 
 class Fault(NamedTuple):
-    """One explanation of a difference between measured and modelled efforts."""
+    """A fault with its joints and fitted values."""
 
     kind: FaultKind
     joints: tuple[str, ...] = ()
-    """Joints with the fault; empty if the fault concerns the whole robot."""
+    """Joints with the fault. The tuple is empty if the whole robot has the fault."""
     values: tuple[float, ...] = ()
     """
-    For a fault of joints: a factor, a rotor inertia [kg m^2 or kg] or an effort [N m or N] of each
-    joint. For a payload: mass [kg] and centre of mass [m]; unknown coordinates are NaN. For a
-    mounting: gravity in the frame of the base link [m/s^2]. For a delay: one time [s].
+    Fitted values of the fault.
+
+    Signs, scales and units are factors. Offsets and constant efforts are in N m or N. Rotor
+    inertias are in kg m^2 or kg. A payload has a mass [kg] and a centre of mass [m], with NaN for
+    unknown coordinates. A mounting has the components of gravity in the frame of the base link
+    [m/s^2]. A delay is in seconds.
     """
     changes: tuple[Change, ...] = ()
-    """Joints whose residuals the correction reduces; the largest reduction comes first."""
+    """Effects of the correction on the joints, largest reduction first."""
     error: float = 0.0
     """Standard error of the mass of a payload [kg]."""
     angle: float = 0.0
-    """Angle between the actual mounting and the mounting in the model [rad]."""
+    """Angle between fitted gravity and the gravity of the model [rad]."""
     link: str = ''
     """Link that carries the payload."""
     sources: tuple[str, ...] = ()
-    """Names under which the efforts of ``joints`` were recorded, if the order is wrong."""
+    """For a wrong order, the names under which the efforts of ``joints`` were recorded."""
     unknown: tuple[str, ...] = ()
-    """Joints whose unit of effort is unknown because friction dominates."""
+    """Joints with an unknown unit because friction dominates the effort."""
     is_every_joint: bool = False
-    """Whether all joints have the fault; joints that show only friction are ignored."""
+    """Whether all joints have the fault, except joints that show only friction."""
     is_motor_side: bool = False
     """Whether the efforts contain the friction of the gears, as motor currents do."""
     is_commanded: bool = True
     """Whether commanded efforts contain gravity."""
     interval: tuple[float, float] | None = None
-    """Start and end of a temporary fault [s]; None for a permanent fault."""
+    """Start and end of a temporary fault [s], or None for a permanent fault."""
 
     @property
     def is_same_factor(self) -> bool:
-        """Whether the factors are nearly equal, as if all efforts had the same unit."""
+        """Whether the factors of all joints are nearly equal."""
         return max(self.values) < SAME_FACTOR * min(self.values)

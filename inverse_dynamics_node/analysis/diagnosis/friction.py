@@ -1,9 +1,9 @@
 """
 Fits damping, Coulomb friction and an offset to the residual efforts of one joint.
 
-Near zero speed, dry friction can have any value up to its maximum. Therefore, samples near zero
-speed are not used. A wider step of Coulomb friction, or friction that grows with the load, is
-accepted only if the squared residual becomes clearly smaller.
+`fit_friction` ignores samples near zero speed, because dry friction can have any value there.
+`fit_shape` fits the width of the Coulomb step and friction that grows with the load. The result of
+`fit_shape` is accepted only if the squared residual becomes clearly smaller.
 """
 
 from __future__ import annotations
@@ -18,42 +18,42 @@ from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, friction_columns
 from ..node_parameters import node_parameters
 
-SURELY_MOVING = 3.0  # times the smoothing width; tanh(3) is 99.5 % of the final value
+SURELY_MOVING = 3.0  # multiple of the smoothing width; tanh(3) is 0.995
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
-SPREAD = 1.5  # ratio of largest to smallest speed, to distinguish damping from Coulomb friction
+SPREAD = 1.5  # least ratio of speeds, to distinguish damping from Coulomb friction
 WIDTHS = (0.02, 0.03, 0.05, 0.08, 0.12)  # [rad/s or m/s]
-BETTER = 0.85  # another width, or load friction, leaves at most this fraction of the squares
+BETTER = 0.85  # another width or load friction must leave less than this fraction of the squares
 MOST_LOAD = 0.5  # larger ratios of friction to load have another cause
-BLOCKS = 12  # blocks of a recording; the differences between blocks show the standard errors
+BLOCKS = 12  # largest number of blocks for the estimate of standard errors
 
 
 class FrictionFit(NamedTuple):
     """Friction and offset of a joint: ``damping * qd + coulomb * tanh(qd / width) + offset``."""
 
     damping: float
-    """Damping [N m s/rad or N s/m]; 0 if unknown."""
+    """Damping [N m s/rad or N s/m], or 0 if unknown."""
     coulomb: float
-    """Coulomb friction [N m or N]; 0 if unknown."""
+    """Coulomb friction [N m or N], or 0 if unknown."""
     offset: float
     """Constant offset of the effort [N m or N]."""
     damping_error: float
-    """Standard error of ``damping``; dependent samples are taken into account."""
+    """Standard error of ``damping``, or NaN if unknown."""
     coulomb_error: float
     offset_error: float
     unknown_because: str
-    """Why the friction of this joint cannot be identified; empty if friction was fitted."""
+    """Reason why friction is unknown. The text is empty if friction was fitted."""
     width: float = math.nan
-    """Fitted speed over which Coulomb friction is smoothed [rad/s or m/s]; NaN if not fitted."""
+    """Speed over which Coulomb friction is smoothed [rad/s or m/s], or NaN if not fitted."""
     load_friction: float = 0.0
-    """Additional Coulomb friction, as a fraction of the magnitude of the effort on the links."""
+    """Additional Coulomb friction per unit of the effort that moves the links."""
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
-        """Return a fit without friction; `reason` says why friction is unknown."""
+        """Return a fit with unknown friction."""
         return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
 
     def efforts(self, qd: Floats, direction: Floats) -> Floats:
-        """Return efforts of friction and offset at given velocities and smoothed directions."""
+        """Return friction plus offset at the given velocities and smoothed directions."""
         return np.asarray(self.damping * qd + self.coulomb * direction + self.offset)
 
     @property
@@ -63,30 +63,30 @@ class FrictionFit(NamedTuple):
 
 
 def is_moving(qd: Floats, width: float) -> Booleans:
-    """Return a mask of the samples in which a joint moves fast enough for full dry friction."""
+    """Return a mask of the samples with enough speed for full Coulomb friction."""
     return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
 def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST_MOVING) -> str:
-    """Return why a joint did not move long enough in both directions; empty if it moved enough."""
+    """Return why a joint did not move enough in both directions, or an empty string."""
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
         return (
-            f'this joint was never faster than {fastest:.2g}, expected more than {fast:g} '
-            '(rad/s or m/s)'
+            f'this joint was never faster than {fastest:.2g} rad/s or m/s, expected more than '
+            f'{fast:g}'
         )
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
     if min(forth, back) < least:
         return (
-            f'this joint moved forward for {forth:.2g} s and back for {back:.2g} s; expected '
+            f'this joint moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
             f'at least {least:g} s in each direction'
         )
     return ''
 
 
 def obstacle(qd: Floats, period: float, width: float) -> str:
-    """Return why a motion does not identify friction; empty if friction can be identified."""
+    """Return why a motion does not reveal friction, or an empty string."""
     reason = lacks_reversal(qd, period, width)
     if reason:
         return reason
@@ -94,8 +94,8 @@ def obstacle(qd: Floats, period: float, width: float) -> str:
     slow, quick = np.quantile(speeds, [0.05, 0.95])
     if quick < SPREAD * slow:
         return (
-            f'the speed of this joint was nearly always between {slow:.2g} and {quick:.2g} '
-            '(rad/s or m/s); this range is too small to distinguish damping from Coulomb friction'
+            f'the range of speeds from {slow:.2g} to {quick:.2g} rad/s or m/s is too small to '
+            'distinguish damping from Coulomb friction'
         )
     return ''
 
@@ -109,15 +109,15 @@ def fit_friction(
     width: float,
 ) -> FrictionFit:
     """
-    Fit friction and an offset to the efforts that the model does not explain.
+    Fit nonnegative friction and an offset to the residual efforts of one joint.
 
-    The direction is ``tanh(qd / width)``, smoothed in the same way as the measured efforts, over a
-    window [samples]. Neither damping nor Coulomb friction is negative.
+    `direction` is ``tanh(qd / width)``, smoothed like the measured efforts. `period` is the
+    sampling period [s], and `window` is the length of the smoothing window [samples].
     """
     reason = obstacle(qd, period, width)
     if reason:
         middle = float(np.median(residual))
-        # If friction acts in one direction most of the time, the median contains friction.
+        # The median contains friction if the joint moves in one direction most of the time.
         is_offset = np.var(residual) + (np.mean(residual) - middle) ** 2 < np.mean(residual**2)
         return FrictionFit.unknown(reason, middle if is_offset else 0.0)
     moving = is_moving(qd, width)
@@ -140,19 +140,18 @@ def fit_shape(
     """
     Fit the smoothing width and the load friction to all K samples of a joint.
 
-    `fit` has the smoothing width `width` [rad/s or m/s], and is returned unless another width or
-    load friction clearly reduces the squared residual. `residual`, shape (K,), is the measured
-    effort minus the modelled effort without friction [N m or N]. `load`, shape (K,), is the
-    magnitude of the modelled effort without friction and rotor [N m or N]. `smooth` applies the
-    smoothing of the measured efforts to columns, shape (K, c). `window` is the length of the
-    smoothing window [samples].
+    `fit` has the smoothing width `width` [rad/s or m/s]. Return `fit` unless another width or load
+    friction clearly reduces the squared residual. `residual`, shape (K,), is the measured effort
+    minus the modelled effort without friction [N m or N]. `load`, shape (K,), is the magnitude of
+    the modelled effort without friction and rotor [N m or N]. `smooth` smooths columns, shape
+    (K, c), like the measured efforts. `window` is the length of the smoothing window [samples].
     """
     if fit.unknown_because:
         return fit
     columns = {
         each: friction_columns(qd, each, load, smooth) for each in dict.fromkeys((width, *WIDTHS))
     }
-    # The triangular factors lead to the same least-squares fits as all samples.
+    # A fit to the triangular factor equals a fit to all samples.
     triangles = {
         each: np.asarray(np.linalg.qr(np.column_stack([of, residual]), mode='r'))
         for each, of in columns.items()
@@ -188,8 +187,8 @@ def standard_errors(
     """
     Estimate standard errors from the differences between blocks of the recording.
 
-    Neither smoothed samples nor model errors are independent. With the formula for independent
-    samples, the standard errors would be far too small.
+    The formula for independent samples would give far too small errors, because smoothed samples
+    and model errors are not independent.
     """
     blocks = int(min(BLOCKS, max(2, len(moving) // (2 * window))))
     block = (np.flatnonzero(moving) * blocks) // len(moving)
@@ -209,12 +208,11 @@ def friction_parameters(
     armature: Sequence[float] = (),
 ) -> str:
     """
-    Return the YAML text of node parameters with the fitted friction.
+    Return node parameters with the fitted friction, as YAML text.
 
-    Where the friction of a joint is unknown, the node uses the friction in the URDF. `width` is
-    the speed over which Coulomb friction is smoothed where no width was fitted [rad/s or m/s].
-    `armature` contains the rotor inertia of each joint [kg m^2 or kg], and is empty if none was
-    found.
+    The node uses the friction of the URDF for joints with unknown friction. `width` is the speed
+    over which Coulomb friction is smoothed if no width was fitted [rad/s or m/s]. `armature`
+    contains the rotor inertia of each joint [kg m^2 or kg], or is empty.
     """
     values: dict[str, float | Sequence[float]] = {
         'damping': [-1.0 if fit.unknown_because else fit.damping for fit in fits],

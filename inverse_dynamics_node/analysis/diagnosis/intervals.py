@@ -1,9 +1,9 @@
 """
 Finds causes that act only during an interval of a recording: a load, a push or a tilting base.
 
-Outside the interval, only friction, rotor inertias and offsets are fitted, and the model must be
-right. Inside the interval, a payload or else an external force explains the residual. A tilting
-base is found by a fit of gravity at several times.
+Outside the interval, the model with fitted friction, rotor inertias and offsets must explain the
+efforts. Inside the interval, a payload or an external force explains the residual. A tilting base
+is found by a fit of gravity at several times, called knots.
 """
 
 from __future__ import annotations
@@ -30,45 +30,45 @@ from .joint_samples import (
 )
 from .regression_data import MIN_TILT, RegressionData, RobotFit
 
-SEGMENTS = 40  # segments of equal length; an interval starts and ends at edges of segments
+SEGMENTS = 40  # number of equal segments; an interval starts and ends at edges of segments
 LONGEST = 0.9  # longest interval, as a fraction of the recording; the rest reveals friction
 EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside the interval
 REFINEMENTS = 3  # number of refinements of the start and end of a load
 LONGEST_FORCE = 0.5  # longest external force, as a fraction of the recording
 LOUDER = 9.0  # least ratio of the mean squares inside and outside an interval
-LOUDER_LOAD = 3.0  # largest ratio of the mean squares inside and outside, with a fitted load
-MUCH_LOUDER = 25.0  # least ratio for an external force, which may vary arbitrarily over time
+LOUDER_LOAD = 3.0  # a fitted load may leave this multiple of the squares that remain outside
+MUCH_LOUDER = 25.0  # least ratio of the mean squares inside and outside for an external force
 IMPROVES = 0.3  # a cause leaves at most this fraction of the unexplained squares
-NOT_EXPLAINED = 9.0  # times the floor; if less remains at each joint, no interval is searched for
-NOT_EXPLAINED_BY_CANDIDATE = 1.5  # the same if a candidate has changed the model
+NOT_EXPLAINED = 9.0  # an interval is searched for if more than this multiple of the floor remains
+NOT_EXPLAINED_BY_CANDIDATE = 1.5  # the same limit after a candidate has changed the model
 AS_GOOD = 0.002  # fraction of the squares that an explanation may leave in any case
 MIN_DURATION = 6.0  # [s]; no interval is searched for in shorter recordings
 
-KNOT_DISTANCE = 0.75  # [s] between the times (knots) at which a changing gravity is fitted
+KNOT_DISTANCE = 0.75  # [s] between knots
 MOST_KNOTS = 40
-MOST_ROWS = 800  # samples of each joint that are used for a changing gravity
-GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of gravity at a knot from the model
+MOST_ROWS = 800  # approximate number of samples of each joint for the fit of gravity
+GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of the difference from the gravity of the model
 GRAVITY_STEP = 2.0  # [m/s^2], standard deviation of the change of gravity between knots
 STRENGTH = 0.25  # largest relative change of the magnitude of gravity
 
 
 class FaultInterval(NamedTuple):
-    """An interval of a recording, and the cause that acts only during this interval."""
+    """A cause that acts only during an interval of a recording."""
 
     kind: FaultKind
-    """A payload, an external force, or a changing mounting."""
+    """Payload, external force or mounting."""
     interval: tuple[float, float]
     """Start and end of the interval [s]."""
     outside: RobotFit
     """Explanation of ``data``."""
     data: RegressionData
-    """For an external force, the samples outside the interval; otherwise all samples."""
+    """Samples outside the interval for an external force, and all samples for other kinds."""
     joints: tuple[int, ...] = ()
     """Indices of the joints on which an external force acts."""
     knots: Floats | None = None
-    """The k times at which gravity was fitted, shape (k,) [s]."""
+    """Times at which gravity was fitted, shape (k,) [s]."""
     gravity: Floats | None = None
-    """Gravity in the base frame at the k knots, shape (k, 3) [m/s^2]."""
+    """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
     left: float = math.nan
     """Fraction of the squared efforts that the fitted gravity leaves unexplained."""
 
@@ -83,9 +83,9 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
     """
     Find a cause that acts only during an interval of the recording.
 
-    Return None unless this cause explains far more than the best explanation of all samples.
+    Return None unless the cause explains far more than `robot_fit`.
     """
-    # A candidate model for all samples explains a little of a temporary load or tilt.
+    # A permanent candidate explains a temporary load or tilt in part.
     is_nominal = robot_fit.candidate.kind is None
     floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
     if data.duration < MIN_DURATION or not data.is_open(robot_fit, floors):
@@ -126,8 +126,8 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
     if not total or not possible.any():
         return None
     loudest_part = np.flatnonzero(possible)[np.argmin(cost[possible])]
-    # If a cause acts most of the time, the residual inside does not stand out. Then choose the
-    # shortest interval with explained samples outside.
+    # A cause that acts most of the time does not stand out. Therefore also try the shortest
+    # interval with explained samples outside.
     explained = left < 2.0 * float(left.min()) + AS_GOOD * total
     shortest = np.flatnonzero(explained)[np.argmin((last - first)[explained])]
     intervals = [(float(edges[first[k]]), float(edges[last[k]])) for k in (loudest_part, shortest)]
@@ -142,7 +142,7 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
 def _mean_squares(
     data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mean squared residuals inside and outside each interval, and sample counts inside."""
+    """Return mean squares inside and outside each interval, and numbers of samples inside."""
     columns = data.joints[j].columns
     target = columns[:, data.first_measured + j] - columns[:, MODEL]
     features = np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
@@ -169,7 +169,7 @@ def _mean_squares(
 def _load(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return the interval of a carried load; None if no load explains the efforts."""
+    """Return the interval of a carried load, or None if no load explains the efforts."""
     best: FaultInterval | None = None
     for _ in range(REFINEMENTS):
         loaded = with_loads_inside(data, interval)
@@ -183,14 +183,14 @@ def _load(
     assert best is not None
     left = best.data.unexplained(best.outside)
     rest = data.restricted(best.interval, is_inside=False)
-    # A load does not explain an arbitrary force: more remains inside the interval than outside.
+    # If the cause is a push, a fitted load leaves more inside the interval than outside.
     if left > LOUDER_LOAD * rest.unexplained(rest.friction_only()) + AS_GOOD:
         return None
     return best if left < IMPROVES * data.unexplained(robot_fit) else None
 
 
 def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
-    """Return the interval in which the load improves the explanation of the efforts."""
+    """Return the interval in which the load reduces the residuals."""
     times = np.unique(np.concatenate([samples.times for samples in data.joints]))
     gain = np.zeros(len(times))
     weights = fault.outside.candidate.weights
@@ -209,12 +209,12 @@ def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
 def _force(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return the interval of an external force; None if no push is clear."""
+    """Return the interval of an external force, or None if no force is clear."""
     unexplained = data.unexplained(robot_fit)
     outside = data.restricted(interval, is_inside=False)
     if outside.is_too_short or interval[1] - interval[0] > LONGEST_FORCE * data.duration:
         return None
-    # Try friction alone, and then also rotors and offsets that the whole recording revealed.
+    # Try friction alone, and then also the rotors and offsets of the whole recording.
     found = outside.friction_only()
     is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
     if robot_fit.candidate.kind is None and not is_unit:
@@ -264,9 +264,9 @@ def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionDat
 
 def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tuple[float, float]:
     """
-    Return the interval with the largest sum of gains, or `start` if no sample has a gain.
+    Return the interval with the largest sum of gains, or `start` if no gain is positive.
 
-    The gain of a sample is the benefit of including the sample in the interval.
+    `times` and `gain` have the shape (K,).
     """
     sums = np.concatenate([[0.0], np.cumsum(gain)])
     lowest = np.minimum.accumulate(sums[:-1])
@@ -281,7 +281,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
 
 
 def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
-    """Fit gravity at several times; return None unless the base clearly tilts."""
+    """Fit gravity at the knots, and return None unless the base clearly tilts."""
     strength = float(np.linalg.norm(data.gravity))
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if strength == 0.0 or not (data.has_gravity and moving):
@@ -301,7 +301,7 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
         return None
     tilted: Booleans = angles > max(MIN_TILT, 0.2 * float(angles.max()))
     at = np.flatnonzero(tilted)
-    # Between two knots, gravity changes linearly.
+    # Gravity changes linearly between knots, so the tilt extends to the neighbouring knots.
     interval = float(knots[max(at[0] - 1, 0)]), float(knots[min(at[-1] + 1, count - 1)])
     if at[0] == 0:
         interval = float(knots[0]), interval[1]
@@ -327,7 +327,7 @@ def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tupl
         own = 3 * count + 4 * position
         matrix[:, own : own + 4] = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
         measured = columns[:, data.first_measured + j]
-        # Replace the gravity that the model contains.
+        # Replace the gravity of the model by the columns for gravity.
         target = measured - columns[:, MODEL] + columns[:, GRAVITY]
         target = target - columns[:, WEIGHT : WEIGHT + 3] @ data.gravity
         floor = samples.floor(data.first_measured + j) * float(np.mean(measured**2))

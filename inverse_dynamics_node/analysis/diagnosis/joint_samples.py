@@ -1,8 +1,9 @@
 """
-Reduces the samples of a joint so that any combination of columns can be fitted quickly.
+Reduces the samples of a joint to a triangular factor, so that fits are fast.
 
-A *sensor fault* is a difference between the recorded and the actual effort of a joint, such as a
-swapped sign.
+A *sensor fault* is a wrong sign, a wrong scale, a missing rotor inertia or an offset of the
+effort of a joint. The *floor* of a joint is the fraction of the squared effort that needs no
+explanation, because model errors and noise have this size.
 """
 
 from __future__ import annotations
@@ -20,25 +21,26 @@ from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, gravity_columns, payload_columns
 
 PARAMETER_COST = math.log(2.0)
-"""Cost of a parameter; to be accepted, a parameter must halve the sum of squared residuals."""
+"""Cost of a parameter. A parameter is accepted only if the squared residual is halved."""
 FLOOR = 0.03  # accuracy of models, as a fraction of a joint's RMS effort
-NOISE_FLOOR = 2.0  # an RMS residual below this multiple of the noise is explained
+NOISE_FLOOR = 2.0  # RMS residuals below this multiple of the noise need no explanation
 SAME_SCALE = (0.8, 1.25)  # factors in this range are model errors, not another unit
-CREDIBLE = 0.3  # an explanation leaves at most this fraction of the squared effort
+CREDIBLE = 0.3  # a credible fit leaves less than this fraction of the squared effort
 FRICTION_ONLY = 0.01  # tolerance for a fit of friction alone, as a fraction of the squared effort
 MIN_OFFSET = 0.05  # least offset, as a fraction of a joint's RMS effort
-FRICTION = 0.03  # considerable Coulomb friction, as a fraction of a joint's RMS effort
-MIN_VARIATION = 0.1  # least variation, relative to the RMS, of a modelled effort to fit a factor
+FRICTION = 0.03  # Coulomb friction above this fraction of a joint's RMS effort is considerable
+MIN_VARIATION = 0.1  # a factor is fitted if the modelled effort varies by more than this fraction
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
 """
-Columns of joint samples. The first nine are: modelled effort; effort of gravity; efforts that
-gravity of 1 m/s^2 along x, y and z would cause; acceleration; velocity; direction of motion; ones.
-The next columns are efforts of loads. The last columns are the measured efforts of all joints.
+Columns of joint samples. `WEIGHT` is the first of three columns with the efforts per 1 m/s^2 of
+gravity along x, y and z. `DIRECTION` is the smoothed direction of motion, and `ONE` is a column of
+ones. `LOADS` is the first column with efforts of loads. The last columns are the measured efforts
+of all joints.
 """
 
 
 class SensorFault(NamedTuple):
-    """Differences between the measured and the actual effort of one joint."""
+    """A combination of sensor faults of one joint."""
 
     is_swapped: bool = False
     is_scaled: bool = False
@@ -48,7 +50,7 @@ class SensorFault(NamedTuple):
 
     @property
     def parameters(self) -> int:
-        """Number of parameters; a wrong scale is rare and has the weight of two parameters."""
+        """Number of parameters. A wrong scale has two, because wrong scales are rare."""
         return sum(self) + self.is_scaled
 
     @property
@@ -63,7 +65,7 @@ SENSOR_FAULTS = tuple(SensorFault(*flags) for flags in product((False, True), re
 
 
 class JointFit(NamedTuple):
-    """A sensor fault fitted to the effort of one joint."""
+    """Friction and sensor faults, fitted to the effort of one joint."""
 
     sensor_fault: SensorFault
     cost: float
@@ -72,7 +74,7 @@ class JointFit(NamedTuple):
     moves: bool = True
     """Whether the joint moved enough to identify its friction."""
     is_friction_only: bool = False
-    """Whether friction explains the effort without the model; sign and unit are then unknown."""
+    """Whether friction alone explains the effort, so that sign and unit are unknown."""
     rms: float = 0.0
     """RMS of the residual, in the unit of the recorded effort."""
     damping: float = 0.0
@@ -93,18 +95,18 @@ class JointSamples:
     """Samples of one joint, reduced to the triangular factor of a QR decomposition."""
 
     columns: Floats
-    """One row for each of K samples, and p columns: shape (K, p)."""
+    """Columns of K samples, shape (K, p)."""
     times: Floats
     """Times of the samples, shape (K,) [s]."""
     moves: bool
     """Whether friction and offsets can be identified."""
     noise: float = 0.0
-    """Standard deviation of the noise of the effort."""
+    """Standard deviation of the noise of the effort [N m or N]."""
     is_prismatic: bool = False
     triangle: Floats = field(init=False)
     """Triangular factor of the samples, shape (p, p)."""
     squares: Floats = field(init=False)
-    """Mean square of each column."""
+    """Mean square of each column, shape (p,)."""
 
     def __post_init__(self) -> None:
         triangle: Floats = np.asarray(np.linalg.qr(self.columns, mode='r'))
@@ -119,16 +121,16 @@ class JointSamples:
         return self.moves or variance > MIN_VARIATION**2 * float(self.squares[MODEL])
 
     def floor(self, measured: int) -> float:
-        """Return the fraction of the squared effort that model errors and noise may explain."""
+        """Return the fraction of the squared effort that needs no explanation."""
         return float(FLOOR**2 + (NOISE_FLOOR * self.noise) ** 2 / self.squares[measured])
 
     def fit(
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Divide the column `measured` by the unit, and fit a sensor fault to the result.
+        Divide the column `measured` by the unit, and fit friction and a sensor fault.
 
-        The candidate model is the weighted sum of the first columns.
+        The modelled effort is the sum of the first columns, multiplied by `weights`.
         """
         R = self.triangle
         model = R[:, : len(weights)] @ weights
@@ -167,7 +169,7 @@ class JointSamples:
         )
 
     def best_fit(self, weights: Floats, measured: int, unit: float = 1.0) -> JointFit:
-        """Return the fit with the most credible sensor fault, or without a sensor fault."""
+        """Return the most credible fit, with or without a sensor fault."""
         rms = math.sqrt(self.squares[measured]) / unit
         best = self.fit(weights, measured, NO_FAULT, unit)
         is_explained = best.remaining < self.floor(measured)
@@ -198,8 +200,7 @@ class JointSamples:
         has_scale = unit == 1.0 and self.shows_scale
         for is_swapped in (False, True):
             every = SensorFault(is_swapped, has_scale, self.moves, self.moves)
-            # Fits take most of the time, and this bound avoids many of them: a fit with fewer
-            # parameters cannot leave less.
+            # A fit with fewer parameters cannot leave less, so this bound avoids many slow fits.
             least = self.fit(weights, measured, every, unit).remaining
             if least < CREDIBLE:
                 for sensor_fault in SENSOR_FAULTS[1:]:
@@ -210,7 +211,7 @@ class JointSamples:
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
         """Return whether friction alone explains as much as a fit with this sign and scale."""
         sensor_fault = fit.sensor_fault
-        # Apparent friction that accelerates the joint reveals a swapped sign without the model.
+        # Friction that accelerates the joint reveals a wrong sign even without the model.
         if sensor_fault.is_swapped and self._needs_no_model(
             measured, sensor_fault._replace(is_swapped=False, is_scaled=False), fit.remaining
         ):
@@ -245,7 +246,7 @@ class JointSignals(NamedTuple):
     direction: Floats
     """Smoothed directions of motion, shape (K, c); see `direction_of`."""
     used: Sequence[Booleans]
-    """For each joint, a mask of the samples that are compared, shape (K,)."""
+    """Mask of the compared samples of each joint, shape (K,)."""
     moves: Sequence[bool]
     """Whether the friction of each joint can be identified."""
     noise: Floats

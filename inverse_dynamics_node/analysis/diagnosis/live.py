@@ -1,10 +1,10 @@
 """
 Compares measured and modelled efforts of the last seconds, for `watch`.
 
-The search for faults is the same as for recordings, but considers neither delays nor several wrong
-links: in a few seconds of filtered samples, these faults cannot be distinguished from friction.
-The arm may be at rest. The modelled efforts come from the running node, and include payloads and
-friction.
+The search for faults is the same as for recordings, except that delays and several wrong links are
+not considered. A few seconds of filtered samples cannot distinguish delays or wrong links from
+friction. The arm may be at rest. The modelled efforts come from the running node, and include
+payloads and friction.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ from .regression_data import RegressionData, RobotFit
 DURATION = 10.0  # [s], length of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
-LEAST_MOVING = 0.1  # least fraction of samples that move in each direction; 1 s of 10 s
+LEAST_MOVING = 0.1  # least fraction of the window in which a joint moves in each direction
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
 AGREEMENT = 0.3  # largest RMS residual of a good model, as a fraction of the effort
-SUSPICIOUS = 0.15  # above this fraction of the effort, grave faults are searched for
+SUSPICIOUS = 0.15  # residuals above this fraction of the effort start the search for faults
 FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
 """
-Residuals are ignored below these fractions of the joint's limit and of the largest modelled
-effort. The smaller value applies, because effort limits in URDFs are often placeholders.
+Residuals are ignored below these fractions of the effort limit and of the largest modelled effort.
+The smaller value applies, because effort limits in URDFs are often placeholders.
 """
 LEAST_FLOOR = 0.005  # accuracy of effort sensors, as a fraction of the limit
-REST_FACTOR = 2.5  # times the floor, for joints at rest, because dry friction may hold them
+REST_FACTOR = 2.5  # multiple of the floor for joints at rest, because dry friction may hold joints
 FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
 MOST_STATES = 60
 """
-Largest number of states that the search uses; more states would add little. Kernels for 64 or
-more states may have to be compiled first, and the display would stop during compilation.
+Largest number of states that the search uses. For 64 or more states, kernels may have to be
+compiled first, and the display would stop during compilation.
 """
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
 LEAST_DURATION = 1.0
 """
-Least duration of the samples [s]. Recordings must be longer. Here a short duration is enough: more
-time reveals no more about an arm at rest, and only large residuals start the search for causes.
+Least duration of the samples [s]. Recordings must be longer. A short duration is sufficient here,
+because more time reveals no more about an arm at rest.
 """
 
 GRAVE = (
@@ -77,8 +77,7 @@ GRAVE = (
 )
 """
 Faults that are reported even if residuals are small or joint states arrive slowly. Other faults
-are harmless if residuals are below `AGREEMENT`. Slow joint states can imitate a fault that is
-not in this list.
+are harmless if residuals are below `AGREEMENT`. Slow joint states can look like other faults.
 """
 
 
@@ -86,19 +85,19 @@ not in this list.
 
 
 class Outcome(enum.Enum):
-    """Whether model and robot agree, and whether the efforts can hold the arm."""
+    """Outcome of the comparison of model and robot."""
 
     AGREE = 'agree'
     DIFFER = 'differ'
     UNDECIDED = 'undecided'
     SATURATED = 'saturated'
-    """The efforts are cut to their limits, and no difference was found."""
+    """Commanded efforts reach the effort limits, and no difference was found."""
     FEW_JOINTS = 'few_joints'
     """Model and robot agree, but only a few joints could be compared."""
 
 
 class Obstacle(enum.Enum):
-    """A reason, other than a fault, why agreement is unknown or not sufficient to go live."""
+    """A reason not to go live, apart from faults."""
 
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'
@@ -115,7 +114,7 @@ class Obstacle(enum.Enum):
 
 @dataclass(frozen=True)
 class Size:
-    """RMS efforts of all compared revolute joints or prismatic joints [N m or N]."""
+    """RMS efforts of all compared joints of one type [N m or N]."""
 
     residual: float
     """RMS of measured minus modelled efforts."""
@@ -125,13 +124,13 @@ class Size:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether model and robot agree, and the reasons if they do not."""
+    """Whether model and robot agree, and why model and robot may differ."""
 
     outcome: Outcome
     obstacle: Obstacle | None = None
-    """Reason, other than a fault, why agreement is unknown or not sufficient to go live."""
+    """Reason not to go live, apart from faults."""
     faults: tuple[Fault, ...] = ()
-    """Causes of differences, most important first; for `AT_REST`, the cause may be friction."""
+    """Faults, most important first. For `AT_REST`, friction may be the cause."""
     numbers: tuple[float, ...] = ()
     """
     For `SLOW_STATES`, the measured rate and the lowest sufficient rate [Hz]. For `FEW_JOINTS`, the
@@ -148,7 +147,7 @@ class Agreement:
     unmeasured: tuple[str, ...] = ()
     """Commanded joints without measured efforts."""
     saturated: tuple[str, ...] = ()
-    """Commanded joints with efforts that are cut to the limits."""
+    """Commanded joints with efforts at the effort limits."""
     is_moving: bool = True
     """Whether a compared joint moved in the window."""
     has_gravity: bool = True
@@ -156,7 +155,7 @@ class Agreement:
 
     @property
     def cause(self) -> FaultKind | Obstacle | None:
-        """Obstacle or fault that decides the outcome; None if model and robot agree."""
+        """Obstacle or fault that decides the outcome, or None if model and robot agree."""
         return self.obstacle or (self.faults[0].kind if self.faults else None)
 
 
@@ -164,7 +163,7 @@ class Agreement:
 
 
 class LiveSamples(NamedTuple):
-    """Low-pass filtered samples of m joints at k times; NaN where a value is unknown."""
+    """Low-pass filtered samples of m joints at k times, with NaN for unknown values."""
 
     joint_names: tuple[str, ...]
     times: Floats
@@ -176,11 +175,11 @@ class LiveSamples(NamedTuple):
     measured: Floats
     """Measured efforts, shape (k, m) [N m or N]."""
     modelled: Floats
-    """Efforts of the model for the measured motion, shape (k, m) [N m or N]."""
+    """Modelled efforts for the measured motion, shape (k, m) [N m or N]."""
 
 
 class LiveWindow:
-    """Keeps samples of m joints for the duration of the window [s]."""
+    """Keeps the samples of the last `duration` seconds."""
 
     def __init__(self, joint_names: Sequence[str], duration: float = DURATION) -> None:
         self.joint_names = tuple(joint_names)
@@ -190,7 +189,7 @@ class LiveWindow:
         self._measured: tuple[Any, ...] = ()
 
     def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
-        """Add a sample that is not older than the last sample, and drop outdated samples."""
+        """Add the newest sample, and drop samples that are too old."""
         self._times.append(time)
         self._rows.append(np.array([q, qd, measured, modelled]))
         while self._times[0] < time - self.duration:
@@ -198,7 +197,7 @@ class LiveWindow:
             self._rows.popleft()
 
     def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if the given properties of measured efforts have changed."""
+        """Drop all samples if the properties of the measured efforts have changed."""
         if measured != self._measured:
             self._measured = measured
             self._times.clear()
@@ -222,11 +221,12 @@ def diagnose_samples(
     payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
-    Compare measured and modelled efforts; samples contain all joints in the order of the robot.
+    Compare measured and modelled efforts.
 
-    Gravity is given in the frame of the root link [m/s^2], even if the modelled efforts exclude
-    gravity. By default, `limits` are the effort limits of the robot. A payload consists of a link,
-    a mass [kg], and the centre of mass in the frame of this link [m].
+    The samples contain all joints in the order of the robot. Gravity in the frame of the root link
+    [m/s^2] is required even if the modelled efforts exclude gravity. By default, `limits` are the
+    effort limits of the robot. A payload consists of a link, a mass [kg], and the centre of mass
+    in the frame of the link [m].
     """
     limits = robot.effort_limits if limits is None else limits
     is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
@@ -268,7 +268,7 @@ class _Comparison:
         self.floor = self._floor()
         self.is_checked = rms(self.modelled) > self.floor
         self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
-        # A measured effort of zero needs no explanation if the modelled effort is small too.
+        # A measured effort of zero needs no explanation if the modelled effort is also small.
         self.searched = np.flatnonzero(self.measured.any(axis=0) & ~self.silent)
 
     def agreement(self) -> Agreement:
@@ -302,7 +302,7 @@ class _Comparison:
         return common
 
     def _search(self) -> tuple[list[Fault], dict[int, float]]:
-        """Return the faults of known kinds, and the remaining residuals by joint."""
+        """Return the known faults, and the large remaining residuals by index of the joint."""
         constant = np.flatnonzero(self.silent).tolist()
         silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
         data = self._regression_data(np.ones(len(self.searched)))
@@ -321,10 +321,10 @@ class _Comparison:
         return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
 
     def _floor(self) -> Floats:
-        """Return the residuals up to which differences are ignored, shape (c,) [N m or N]."""
+        """Return the limits below which residuals are ignored, shape (c,) [N m or N]."""
         modelled, largest = rms(self.modelled), np.zeros(len(self.names))
         if not self.convention.in_measured:
-            # If the driver removes gravity, errors in its model of gravity remain.
+            # If the driver removes gravity, the errors of the driver's gravity model remain.
             gravity = self.dynamics.gravity_efforts(np.nan_to_num(self.whole.q[self.some]))
             modelled = np.maximum(modelled, rms(gravity[:, self.index]))
         for kind in (False, True):
@@ -337,7 +337,7 @@ class _Comparison:
         return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
 
     def _regression_data(self, signs: Floats) -> RegressionData:
-        """Return the samples of joints with measured efforts, given the signs of their axes."""
+        """Return the data of joints with measured efforts, given the signs of the axes."""
         robot, times = self.dynamics.robot, self.whole.times
         q, qd = np.nan_to_num(self.whole.q), np.nan_to_num(self.whole.qd)
         qdd: Floats = np.gradient(qd, times, axis=0)
@@ -373,7 +373,7 @@ class _Comparison:
         )
         links = loaded_links(robot, q)
         joints = sample_joints(self.dynamics, times[some], states, signals, links)
-        # A payload in the node can be heavier than the link that carries the payload.
+        # A payload in the node may be heavier than the link that carries the payload.
         heaviest = float(np.sum(robot.mass))
         return RegressionData(
             joints,
@@ -439,9 +439,9 @@ class _Comparison:
 # ---- The verdict ---------------------------------------------------------------------------
 
 
-DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
+DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default rate of ros2_control is 100 Hz
 OF_GIVEN_RATE = 0.8  # least fraction of the rate that the user gave
-OF_UPDATE_RATE = 0.5  # least fraction of update_rate; many drivers are slower than control loops
+OF_UPDATE_RATE = 0.5  # least fraction of update_rate, because many drivers are slow
 
 LEAST_CHECKED = 0.25
 """
@@ -454,17 +454,17 @@ class StateRate(NamedTuple):
     """Rates of joint states [Hz]."""
 
     measured: float | None
-    """Measured rate [Hz]; None if unknown."""
+    """Measured rate [Hz], or None if unknown."""
     given: float | None = None
-    """Rate that the user expects [Hz]; None if not given."""
+    """Rate that the user expects [Hz], or None if not given."""
     update_rate: float | None = None
-    """Requested rate of the commands [Hz]; None if each joint state leads to one command."""
+    """Requested rate of commands [Hz], or None if each joint state leads to one command."""
     is_simulated: bool = False
     """Whether the node uses simulated time, which may be slower than real time."""
 
     @property
     def least(self) -> float:
-        """Rate below which joint states are slow [Hz]."""
+        """Lowest sufficient rate [Hz]."""
         if self.given is not None:
             return OF_GIVEN_RATE * self.given
         if self.update_rate is not None:
@@ -473,7 +473,7 @@ class StateRate(NamedTuple):
 
     @property
     def is_slow(self) -> bool:
-        """Whether the rate of joint states is far too low."""
+        """Whether the measured rate is too low."""
         return self.measured is not None and self.measured < self.least
 
 
@@ -492,10 +492,10 @@ def check_agreement(
     """
     Check whether model and robot agreed in the last seconds.
 
-    `reason` says why the node does not compute efforts; empty if the node computes them. The
-    samples are None if the robot is unknown. `saturated` are the commanded joints with efforts
-    that were cut to the limits in the last seconds. `diagnose_samples` describes the other
-    arguments.
+    `reason` says why the node does not compute efforts, and is empty if the node computes efforts.
+    `samples` and `robot` are None if the robot is unknown. `saturated` contains the commanded
+    joints with efforts that reached the effort limits in the last seconds. `diagnose_samples`
+    describes the other arguments.
     """
     if reason:
         return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
@@ -526,7 +526,7 @@ def check_agreement(
 
 
 def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSamples:
-    """Leave out constant efforts of joints, such as a gripper, that are not commanded."""
+    """Leave out constant efforts of joints that are not commanded, such as gripper joints."""
     is_commanded = np.isin(samples.joint_names, commanded) if commanded else True
     is_constant = (samples.measured == samples.measured[:1]).all(axis=0)
     measured = np.where(is_constant & ~np.array(is_commanded), np.nan, samples.measured)
@@ -536,7 +536,7 @@ def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSam
 def _completed(
     agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
 ) -> Agreement:
-    """Add unmeasured and saturated joints; change the outcome if too few joints were checked."""
+    """Add unmeasured and saturated joints, and check that enough joints were checked."""
     compared = (*agreement.checked, *agreement.unchecked)
     agreement = replace(agreement, saturated=tuple(saturated))
     if not compared:

@@ -1,5 +1,5 @@
 """
-Fits unknown payloads; the efforts of a payload are linear in its inertial parameters.
+Fits the mass and the centre of mass of an unknown payload.
 
 A point mass m at position c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts. ``Y_m``,
 ``Y_c`` and ``Y_cc`` are the efforts per unit of ``m``, ``m c`` and ``m c c^T``.
@@ -13,24 +13,24 @@ from ...robot.kinematics import path_to
 from ...robot.model import Booleans, Floats, RobotModel
 
 PARAMETERS = 10  # one for m, three for m c, six for m c c^T
-MOST_LINKS = 6  # links to try if no link is given
+MOST_LINKS = 6  # largest number of links to try
 MOVED = 0.02  # [rad or m]; a joint that moved less does not reveal a load
 MAX_REACH = 0.5  # [m], largest distance from the link to the centre of mass of a payload
-USUAL_REACH = 0.2  # [m], typical coordinate, for coordinates with hardly any effect
-MAX_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is reported as unknown
+USUAL_REACH = 0.2  # [m], assumed standard deviation of each coordinate of the centre of mass
+MAX_COM_ERROR = 0.05  # [m]; coordinates with a larger standard error are reported as unknown
 
 
 def tip_links(robot: RobotModel) -> tuple[str, ...]:
-    """Return one link of each body that may carry a load: branching bodies first, then tips."""
+    """Return one link of each branching body, and then one link of each tip of the tree."""
     children = np.bincount(robot.parent[1:], minlength=len(robot.parent))
-    # A load on the palm of a hand does not act on the finger joints.
+    # Branching bodies are included because a load on a palm does not act on the fingers.
     bodies = [body for body in range(1, len(children)) if children[body] != 1]
     bodies.sort(key=lambda body: (children[body] == 0, -len(path_to(robot, body))))
     links = []
     for body in bodies[:MOST_LINKS]:
         on_body = np.flatnonzero(robot.link_body == body)
         reach = np.linalg.norm(robot.link_position[on_body], axis=1)
-        # Choose the last of the outermost links: a tool frame is listed after its parent link.
+        # Choose the last outermost link, because tool frames are listed after their parents.
         furthest = on_body[reach >= np.max(reach) - 1e-9][-1]
         links.append(robot.link_names[int(furthest)])
     return tuple(links)
@@ -38,7 +38,7 @@ def tip_links(robot: RobotModel) -> tuple[str, ...]:
 
 def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple[str, ...]:
     """
-    Return the links that may carry a load: the given link, or else the tips of the tree.
+    Return `link`, or the links from `tip_links` if `link` is None.
 
     Links that did not move are left out, unless the whole robot was at rest.
     """
@@ -61,11 +61,10 @@ def fit_payload(
     regressors: Floats, residual: Floats, sample_count: float
 ) -> tuple[Floats, Floats]:
     """
-    Fit a point mass to efforts of equal variance, given ten regressor columns.
+    Fit a point mass to residual efforts of equal variance.
 
-    Return mass [kg] and centre of mass [m] as one array, shape (4,), and the standard errors as
-    another array. `sample_count` is the number of independent samples, which may be smaller than
-    the number of rows.
+    The regressors have the shape (rows, 10). Return mass [kg] and centre of mass [m], shape (4,),
+    and their standard errors, shape (4,). `sample_count` is the number of independent samples.
     """
     from scipy.optimize import least_squares
 
@@ -93,7 +92,7 @@ def fit_payload(
     found = least_squares(remaining, start, derivatives, x_scale=scale)
     variance = 2.0 * found.cost / max(sample_count - 4.0, 1.0)
     covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12) * variance
-    # The formula gives zero error for a parameter without effect, although its value is unknown.
+    # A parameter without effect is unknown, but the formula gives a standard error of zero.
     effect = np.linalg.norm(found.jac, axis=0)
     errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     errors[effect <= 1e-9 * np.max(effect)] = np.inf

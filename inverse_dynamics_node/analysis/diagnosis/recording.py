@@ -50,7 +50,7 @@ DELAY_ROUNDS = 5  # largest number of linear estimates of a delay
 
 @dataclass(frozen=True, eq=False)
 class JointResidual:
-    """Measured and modelled effort of one joint, in N m or N."""
+    """Comparison of measured and modelled efforts of one joint, in N m or N."""
 
     name: str
     is_prismatic: bool
@@ -59,16 +59,16 @@ class JointResidual:
     rms_residual: float
     """RMS of measured minus modelled effort."""
     rms_friction: float
-    """RMS residual with fitted friction, but without an offset or corrections of faults."""
+    """RMS residual with fitted friction only."""
     rms_corrected: float
-    """RMS residual with fitted friction, a fitted offset and corrections of faults."""
+    """RMS residual with fitted friction, a fitted offset and all corrections of faults."""
     noise: float
     """
-    Standard deviation of the noise after smoothing; NaN if the efforts were filtered before they
-    were recorded. A residual that is smaller than the noise needs no further explanation.
+    Standard deviation of the noise after smoothing, or NaN if the recorded efforts are filtered.
+    Residuals below the noise need no explanation.
     """
     scale: float
-    """Least-squares fit: the measured effort is about ``scale * modelled + offset``."""
+    """Slope of the line ``measured = scale * modelled + offset``, fitted by least squares."""
     offset: float
     friction: FrictionFit
     is_varying: bool
@@ -76,12 +76,12 @@ class JointResidual:
 
     @property
     def explained(self) -> float:
-        """Fraction of the squared effort that the model explains; NaN for a constant effort."""
+        """Fraction of the squared effort that the model explains, or NaN for constant efforts."""
         return self._explained(self.rms_residual)
 
     @property
     def explained_corrected(self) -> float:
-        """Fraction of the squared effort that model, friction, offset and faults explain."""
+        """Fraction of the squared effort that the model, friction, offset and faults explain."""
         return self._explained(self.rms_corrected)
 
     def _explained(self, residual: float) -> float:
@@ -90,30 +90,30 @@ class JointResidual:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonResult:
-    """The comparison of the K samples of a recording with the model."""
+    """The comparison of a recording of K samples with the model."""
 
     motion: Motion
-    """The derived motion of all recorded joints."""
+    """The motion of all recorded joints."""
     compared: tuple[int, ...]
-    """Indices, within the motion, of the c joints that have a measured effort."""
+    """Indices in the motion of the c joints with a measured effort."""
     joints: tuple[JointResidual, ...]
     """Residuals of the compared joints."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
-    """Modelled efforts, shape (K, c) [N m or N]; with friction if the dynamics have friction."""
+    """Modelled efforts with the friction of the dynamics, shape (K, c) [N m or N]."""
     corrected: Floats
     """Modelled efforts with friction and the effects of all faults, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
-    """Explanations of the difference, most important first; empty if none is needed."""
+    """Faults that explain the difference, most important first."""
     width: float
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     is_too_short: bool
     """Whether there are too few samples to diagnose a difference."""
     moving: tuple[int, ...]
     """
-    Indices of moving joints in ``joints``. If no joint moved, the indices of all joints with
-    varying effort.
+    Indices of moving joints in ``joints``. If no joint moved, all joints with varying efforts are
+    listed.
     """
 
     @property
@@ -123,7 +123,7 @@ class ComparisonResult:
 
     @property
     def explained_corrected(self) -> float:
-        """Fraction of the squared efforts that model, friction, offset and faults explain."""
+        """Fraction of the squared efforts that the model, friction, offset and faults explain."""
         return self._mean([joint.rms_corrected for joint in self.joints])
 
     def _mean(self, residuals: list[float]) -> float:
@@ -144,15 +144,15 @@ def diagnose_recording(
     convention: GravityConvention = WITH_GRAVITY,
 ) -> ComparisonResult:
     """
-    Compare a recording of any joints of a robot, in any order, with the robot model.
+    Compare a recording with the robot model.
 
-    The dynamics include all known loads. An unknown load may be on `link`, or on the tips of the
-    tree if `link` is None. Joints that were not recorded are assumed to rest at zero. `width` is
-    the speed over which Coulomb friction is smoothed [rad/s or m/s]. If `width` is None, the
-    smoothing speed of each joint is fitted if the recording reveals it. The `convention` says
-    whether measured efforts should contain gravity.
+    The recording may contain any joints of the robot, in any order. Joints that were not recorded
+    are assumed to rest at zero. The dynamics include all known loads. An unknown load may act on
+    `link`, or on the tips of the tree if `link` is None. `width` is the speed over which Coulomb
+    friction is smoothed [rad/s or m/s]. If `width` is None, the width of each joint is fitted if
+    possible. The `convention` says whether measured efforts should contain gravity.
 
-    Raise RecordingError if the robot lacks a recorded joint or the recording is not usable, and
+    Raise RecordingError if the robot lacks a recorded joint or the recording is not usable. Raise
     ConfigurationError if the link does not exist.
     """
     robot = dynamics.robot
@@ -169,8 +169,8 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     unknown = [name for name in names if name not in robot.joint_names]
     if unknown:
         raise RecordingError(
-            f"the recording has joint '{unknown[0]}', which robot '{robot.name}' does not have; "
-            f'the robot has {", ".join(robot.joint_names)}'
+            f"the recording has joint '{unknown[0]}', expected only joints of robot "
+            f"'{robot.name}': {', '.join(robot.joint_names)}"
         )
     if len(set(names)) != len(names):
         raise RecordingError(f'the recording lists a joint twice: {", ".join(names)}')
@@ -221,12 +221,12 @@ class _Found(NamedTuple):
     """The explanation of a recording."""
 
     compared: ComparedEfforts
-    """Efforts, corrected for reversed axes and for the delay."""
+    """Efforts without reversed axes and without the delay."""
     data: RegressionData
     robot_fit: RobotFit
     faults: tuple[Fault, ...]
     signs: Floats
-    """Sign of each axis in the motion, shape (m,): -1 if reversed, otherwise 1."""
+    """Signs of the axes of the motion, shape (m,), which are -1 for reversed axes."""
     delay: float = 0.0
     """Delay of the efforts [s]."""
     interval: FaultInterval | None = None
@@ -240,7 +240,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
     data = recorded.regression_data()
     every = np.ones(len(motion.joint_names))
     positions = diagnose_positions(recorded.robot, motion.q, motion.joint_names)
-    if positions:  # everything else would be computed with wrong positions
+    if positions:  # wrong positions would make all other results wrong
         return _Found(recorded, data, data.friction_only(), (*positions, *silent), every)
 
     def undistorted(signs: Floats, delay: float = 0.0) -> ComparedEfforts:
@@ -271,7 +271,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
 def _confirmed(
     undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
 ) -> Axes:
-    """Return the reversed axes if they clearly improve a fit of all links, else `recorded`."""
+    """Return `reversed_` if reversed axes clearly improve a fit of all links, else `recorded`."""
     left = []
     for each in (reversed_, recorded):
         bodies = fit_bodies(undistorted(each.signs), each.data, each.robot_fit)
@@ -280,7 +280,7 @@ def _confirmed(
 
 
 def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float:
-    """Return the delay of the efforts [s]; 0 if the delay is small or uncertain."""
+    """Return the delay of the efforts [s], or 0 if the delay is small or uncertain."""
     data, robot_fit, delay = axes.data, axes.robot_fit, 0.0
     for _ in range(DELAY_ROUNDS):
         compared = undistorted(delay)
@@ -299,14 +299,14 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
 
 
 def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Extend the signs to all joints of the motion, with 1 where the effort does not vary."""
+    """Extend the signs of varying joints to all joints of the motion."""
     every = np.ones(len(compared.motion.joint_names))
     every[[compared.compared[c] for c in compared.varying]] = signs
     return every
 
 
 def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
-    """Explain efforts; if needed, assume wrong links or a temporary cause."""
+    """Explain the efforts, if necessary by wrong links or a temporary cause."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
     bodies = fit_bodies(compared, data, robot_fit)
@@ -328,7 +328,7 @@ def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: Ro
 
 
 def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
-    """Return the fault with an interval that is accurate to one sample."""
+    """Return the fault with an interval that is accurate to a single sample."""
     if fault.kind is FaultKind.MOUNTING:
         return fault
     is_force = fault.kind is FaultKind.EXTERNAL_FORCE

@@ -1,8 +1,9 @@
 """
 Explains measured efforts with small residuals and few parameters.
 
-A *candidate model* changes the efforts of the whole robot, as a payload does. In addition, the
-effort sensor of each joint may have a fault.
+An *explanation* consists of a candidate model and a fit of each joint. A *candidate model* changes
+the efforts of the whole robot, for example by a payload. Fits of joints contain friction and
+sensor faults.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ from .joint_samples import (
 )
 from .loads import fit_payload, MAX_REACH, PARAMETERS, point_mass_parameters
 
-UNIT_PARAMETERS = 2  # a wrong unit has the weight of two parameters, because it is rare
+UNIT_PARAMETERS = 2  # wrong units are rare, and cost as much as two parameters
 COST_TOLERANCE = 0.1  # smaller differences of costs are ignored
 MAX_ITERATIONS = 3  # candidate model and sensor faults are fitted in turn
 MIN_DURATION = 4.0  # [s]; in shorter recordings, a fit may be good by chance
 OWN_CONTRIBUTION = 0.7  # a candidate leaves at most this fraction of the nominal model's residual
-NO_GRAVITY = 0.25  # efforts with a larger fraction of gravity do not lack gravity
+NO_GRAVITY = 0.25  # efforts with less than this fraction of gravity lack gravity
 CONSIDERABLE = 0.3  # a smaller ratio of gravity to modelled effort may be a model error
-LIKE_A_LOAD = (0.3, 3.0)  # at rest, a load instead of a unit may cause factors in this range
+LIKE_A_LOAD = (0.3, 3.0)  # a load or wrong links may cause factors in this range
 GRAVITY_KINDS = FaultKind.GRAVITY_COMPENSATED, FaultKind.GRAVITY_MEASURED
 STRENGTH = 0.02  # largest relative error of the magnitude of gravity in a fitted mounting
 MIN_TILT = math.radians(3.0)
@@ -52,10 +53,10 @@ SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same un
 
 
 class CandidateModel(NamedTuple):
-    """A linear combination of sample columns that models the efforts of the whole robot."""
+    """A weighted sum of sample columns that models the efforts of the whole robot."""
 
     kind: FaultKind | None
-    """Gravity (compensated or measured), mounting or payload; None for the unchanged model."""
+    """Kind of the change, or None for the unchanged model."""
     weights: Floats
     """Factors of the first columns of the samples."""
     parameters: int
@@ -65,13 +66,13 @@ class CandidateModel(NamedTuple):
     link: str = ''
     """Link that carries the payload."""
     solution: tuple[float, ...] = ()
-    """Fitted gravity [m/s^2]; or mass [kg] and centre of mass [m]."""
+    """Gravity [m/s^2] of a mounting, or mass [kg] and centre of mass [m] of a payload."""
     errors: tuple[float, ...] = ()
     """Standard errors of the solution."""
 
 
 class RobotFit(NamedTuple):
-    """A candidate model, and the fit of each joint."""
+    """An explanation: a candidate model and the fit of each joint."""
 
     candidate: CandidateModel
     fits: tuple[JointFit, ...]
@@ -82,7 +83,7 @@ class RobotFit(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """Sum of the costs of all joints, plus the cost of parameters that joints share."""
+        """Sum of the costs of all joints and of the parameters that joints share."""
         moved = sum(i != j for i, j in enumerate(self.source))
         parameters = self.candidate.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
         swapped = [fit.sensor_fault.is_swapped for fit in self.fits if not fit.is_friction_only]
@@ -93,11 +94,11 @@ class RobotFit(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
-        """Whether the effort of any joint has a different unit from the modelled effort."""
+        """Whether the measured effort of any joint is in a wrong unit."""
         return self.unit != 1.0 or any(fit.sensor_fault.is_scaled for fit in self.fits)
 
     def factor(self, joint: int) -> float:
-        """Return the ratio of measured to actual effort of a joint, without its sign."""
+        """Return the absolute ratio of measured to actual effort of a joint."""
         return self.unit * self.fits[joint].scale
 
 
@@ -105,13 +106,12 @@ class RegressionData:
     """
     The samples of n joints, and the search for an explanation of the measured efforts.
 
-    Each link in `links` may carry a load of up to `heaviest` [kg]. `links` maps the name of a link
-    to the mass of its body [kg]. In the samples, the efforts of loads start at column ``LOADS``.
-    `gravity` is the gravity of the model, in the frame of the base link [m/s^2]. The samples
-    represent `duration` [s], and `sample_count` samples of each joint are independent. No
-    explanation is searched for if the duration is shorter than `least_duration` [s]. The
-    `convention` says whether measured efforts should contain gravity; the modelled efforts follow
-    the convention.
+    `links` contains the links that may carry a load, and the mass of the body of each link [kg].
+    `heaviest` is the largest mass of a load [kg]. `gravity` is the gravity of the model in the
+    frame of the base link [m/s^2]. The samples represent `duration` [s], and `sample_count`
+    samples of each joint are independent. Sensor faults and candidate models are searched for only
+    if the duration is at least `least_duration` [s]. The `convention` says whether measured and
+    modelled efforts should contain gravity.
     """
 
     def __init__(
@@ -159,7 +159,7 @@ class RegressionData:
         return self.with_joints(joints, max(duration, 1e-9))
 
     def loads(self, k: int, start: RobotFit) -> list[RobotFit]:
-        """Return fits of a payload on link k, without a search for sensor faults."""
+        """Return fits of a payload on link k, with the sensor faults of `start`."""
         found: list[RobotFit] = []
         fits = start.fits
         for _ in range(MAX_ITERATIONS):
@@ -171,7 +171,7 @@ class RegressionData:
         return found
 
     def friction_only(self) -> RobotFit:
-        """Return the unchanged model with fitted friction."""
+        """Fit only friction to the unchanged model."""
         fits = tuple(
             samples.fit(self.nominal.weights, self.first_measured + j, NO_FAULT)
             for j, samples in enumerate(self.joints)
@@ -189,7 +189,7 @@ class RegressionData:
         return not any(samples.moves for samples in self.joints)
 
     def floor(self, robot_fit: RobotFit, j: int) -> float:
-        """Return the fraction of the squared effort of a joint that needs no explanation."""
+        """Return the floor of a joint."""
         return self.joints[j].floor(self.first_measured + robot_fit.source[j])
 
     def square(self, robot_fit: RobotFit, j: int) -> float:
@@ -201,8 +201,8 @@ class RegressionData:
         """
         Return whether the effort of any moving joint is not explained.
 
-        An effort is explained if the remaining fraction of the squares is at most `floors` times
-        the floor of the joint. This limit cannot exceed `most`, unless the floor exceeds `most`.
+        An effort is explained if the remaining fraction of the squares is at most a limit. The
+        limit is the smaller value of `most` and `floors` times the floor, but at least the floor.
         """
         return any(
             samples.moves and fit.remaining > max(floor, min(floors * floor, most))
@@ -221,7 +221,7 @@ class RegressionData:
         )
         if nominal.cost - lowest_cost < PARAMETER_COST:
             return nominal  # no further parameter can be worth its cost
-        # If missing gravity and a joint offset explain equally much, prefer missing gravity.
+        # Prefer missing gravity if an offset explains the efforts equally well.
         found = sorted(
             self._candidates(nominal),
             key=lambda each: each.cost - COST_TOLERANCE * self.contradicts(each.candidate),
@@ -251,7 +251,7 @@ class RegressionData:
         candidate = robot_fit.candidate
         if candidate.kind is None:
             return True
-        # In one pose, a load cannot be distinguished from its compensation.
+        # At rest, a load cannot be distinguished from the compensation of the load.
         is_load = candidate.kind is FaultKind.PAYLOAD
         if self.is_at_rest and is_load and not candidate.has_gravity:
             return False
@@ -279,7 +279,7 @@ class RegressionData:
         )
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether the fit explains the efforts of gravity and leaves hardly any of them."""
+        """Return whether the fit leaves hardly any effort of gravity."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -288,7 +288,7 @@ class RegressionData:
             if not self.has_gravity:
                 modelled = modelled + samples.squares[GRAVITY]
             is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * modelled
-            # The unknown dry friction of a joint at rest looks like less gravity.
+            # The unknown dry friction of a joint at rest looks like missing gravity.
             is_heavy = is_heavy and (samples.moves or self.is_at_rest)
             if is_heavy and fit.remaining > max(CREDIBLE, floor):
                 return False
@@ -302,7 +302,7 @@ class RegressionData:
         return is_shown and abs(numerator) < NO_GRAVITY * denominator
 
     def _target(self, j: int, robot_fit: RobotFit) -> Floats:
-        """Subtract all explained efforts except friction from the reduced efforts of a joint."""
+        """Return the measured effort of a joint minus all explained efforts except friction."""
         R, fit = self.joints[j].triangle, robot_fit.fits[j]
         measured = R[:, self.first_measured + robot_fit.source[j]]
         target: Floats = fit.sensor_fault.sign / robot_fit.factor(j) * measured
@@ -396,8 +396,8 @@ class RegressionData:
         """
         Return weighted columns and targets of all joints, without friction and sensor faults.
 
-        The targets are the efforts minus the columns multiplied by the `fixed` weights. Return
-        None if the units of all efforts are unknown.
+        The targets are the measured efforts minus the columns multiplied by `fixed`. Return None
+        if the units of all efforts are unknown.
         """
         stacked, targets = [], []
         for j, (samples, fit) in enumerate(zip(self.joints, fits, strict=True)):
@@ -411,7 +411,7 @@ class RegressionData:
                 Q = np.linalg.qr(R[:, [SPEED, DIRECTION]])[0]
                 target = target - Q @ (Q.T @ target)
                 columns = columns - Q @ (Q.T @ columns)
-            # Joints that are explained well have more weight.
+            # Joints with a good fit have more weight.
             variance = min(fit.remaining, 1.0) + samples.floor(self.first_measured + j)
             variance *= samples.squares[self.first_measured + j]
             weight = math.sqrt(self.sample_count / variance)
@@ -420,7 +420,7 @@ class RegressionData:
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
     def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
-        """Fit gravity; return None unless it differs from the model only in direction."""
+        """Fit gravity, and return None unless gravity is tilted."""
         if not self.has_gravity:
             return None
         fixed = self._weights({MODEL: 1.0, GRAVITY: -1.0})
@@ -434,7 +434,7 @@ class RegressionData:
     def is_tilted(self, gravity: Floats) -> bool:
         """Return whether gravity differs from the model in direction, but not in magnitude."""
         g, g_0 = np.linalg.norm(gravity), np.linalg.norm(self.gravity)
-        # A different magnitude has another cause than the mounting.
+        # The mounting does not change the magnitude of gravity.
         if g_0 == 0.0 or abs(g / g_0 - 1.0) > STRENGTH:
             return False
         return math.acos(np.clip(gravity @ self.gravity / (g * g_0), -1.0, 1.0)) > MIN_TILT
@@ -462,8 +462,8 @@ class RegressionData:
     def loaded(
         self, k: int, base: CandidateModel, solution: Floats, errors: Floats
     ) -> CandidateModel | None:
-        """Add a point mass on link k to a model; return None if mass or position is absurd."""
-        # The missing mass of a body cannot exceed its mass.
+        """Add a point mass on link k to a model, or return None if the load is implausible."""
+        # The missing mass of a body cannot exceed the mass of the body.
         least = -self.link_masses[k] - 3.0 * errors[0]
         if not least < solution[0] < self.heaviest or np.linalg.norm(solution[1:]) > MAX_REACH:
             return None
@@ -481,7 +481,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Fit exchanged efforts of unexplained joints; return nothing if the exchange fails."""
+        """Return a fit with exchanged efforts, if the exchange explains the efforts."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights

@@ -1,10 +1,12 @@
 """
 Computes distances between links, to the floor and to boxes, with gradients.
 
-As in planning tools, sampled poses show which links may come near each other. Neighbouring links,
-and links that touch in almost all poses, are not checked. Capsules enclose the links. If two
-capsules are often near each other, points on the surfaces of the links show how close the capsules
-may come.
+Capsules enclose the links. The floor and the boxes are called obstacles. A row is a pair of
+capsules, or a capsule and an obstacle. Each row has a least distance. If a distance is smaller,
+the difference is the missing distance.
+
+Neighbouring links, and links that touch in almost all sampled poses, are not checked. If two links
+are often near each other, points on their surfaces determine the least distances.
 """
 
 from __future__ import annotations
@@ -22,88 +24,93 @@ from ...robot.kinematics import body_frames
 from ...robot.model import Floats, Integers, RobotModel
 
 CLEARANCE = 0.02
-"""Least distance between links, and between a link and the floor or a box [m]."""
+"""Default least distance between links, and between a link and an obstacle [m]."""
 TOUCH = 0.005
-"""Two surfaces are regarded as touching if their points are closer than this [m]."""
+"""Surfaces touch if their distance is smaller than this value [m]."""
 _ALWAYS = 0.01
-"""Two links that are closer than this in almost all poses are not checked [m]."""
+"""Links that are closer than this distance in almost all poses are not checked [m]."""
 _MANY, _ALL = 0.3, 0.95
-"""'Many' means more than the first fraction of poses; 'almost all', more than the second."""
+"""Fractions of the poses that are called 'many' and 'almost all'."""
 _OFTEN = 0.02
-"""Surfaces are compared if two links are near each other in more than this share of poses."""
+"""Surfaces are compared if links are near each other in more than this fraction of poses."""
 _MOST_LOOKS = 40
 """Largest number of poses in which the surfaces of two links are compared."""
 _UNSEEN = 0.005
-"""If two surfaces never come close, their capsules may be this much closer than sampled [m]."""
+"""Subtracted from the smallest sampled distance if the surfaces are never close [m]."""
 _ON_THE_WAY = 0.005
-"""Links that are too close at the start of a path may first approach by this distance [m]."""
+"""Links that are too close at the start of a path may approach by this distance [m]."""
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
-"""A distance that is too short by this has the same penalty as twice the speed limit [m]."""
+"""Missing distance that has the penalty 1 [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
-"""Positions along a segment, 0 to 1, at which the distance to a box is computed."""
+"""Positions on a segment, 0 to 1, at which the distance to a box is computed."""
 _CHUNK = 200
-"""Number of poses for which distances are computed at once."""
+"""Number of poses that are processed together."""
 
 
 class Extent(NamedTuple):
-    """A box in the frame of the base; each corner has the shape (3,) [m]."""
+    """Lowest and highest corner of a box in the base frame, shape (3,) each [m]."""
 
     lowest: Floats
     highest: Floats
 
 
 class Contacts(NamedTuple):
-    """Pairs of capsules, or of a capsule and an obstacle, that are close in some poses."""
+    """Capsules that are close to each other or to an obstacle."""
 
     pose: Integers
     row: Integers
     distance: Floats
-    """Distances, shape (contacts,) [m]; negative if the pair overlaps."""
+    """Distances, shape (contacts,) [m]; negative for an overlap."""
     points: Floats
-    """Nearest points of each pair, on the axes of the capsules, shape (contacts, 2, 3) [m]."""
+    """Nearest points on the axes of the capsules, shape (contacts, 2, 3) [m]."""
     normal: Floats
     """Unit vectors from the second point to the first point, shape (contacts, 3)."""
 
 
 class Nearest(NamedTuple):
-    """Smallest distance in several poses, between two links or between a link and an obstacle."""
+    """Smallest distance between two links, or between a link and an obstacle."""
 
     names: tuple[str, str]
-    """A link and its counterpart: another link, 'floor' or 'box'."""
+    """Name of a link, and name of another link, 'floor' or 'box'."""
     distance: float
-    """Distance [m], between surfaces if the shapes of both links are known."""
+    """Distance between surfaces or, if a surface is unknown, between capsules [m]."""
     pose: int
+    """Index of the pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Least distances of a robot; a row is a pair of capsules, or a capsule and an obstacle."""
+    """The least distances that a robot must keep to itself and to obstacles."""
 
     robot: RobotModel
     capsules: Capsules
     pairs: Integers
     """Indices of the two capsules of each pair, shape (pairs, 2)."""
     floor: float
-    """Height of the floor [m]; -inf without a floor."""
+    """Height of the floor in the base frame [m]; -inf without a floor."""
     boxes: Floats
     """Lowest and highest corner of each box, shape (boxes, 2, 3) [m]."""
     needed: Floats
-    """Least distances [m]: of pairs, of capsule ends from the floor, of capsules from each box."""
+    """
+    Least distance of each row, shape (rows,) [m].
+
+    Pairs come first, then capsule ends with the floor, then capsules with each box.
+    """
     unchecked: tuple[str, ...] = ()
-    """Pairs that are not checked, because they are close too often, such as 'wrist and floor'."""
+    """Pairs that are too often close to be checked, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
-        """Both bodies of each row, shape (rows, 2); the base represents the floor and boxes."""
+        """The two bodies of each row, shape (rows, 2). Obstacles belong to the base."""
         body = self.capsules.body
         single = np.tile(body, 2 + len(self.boxes))
         outside = np.stack([single, np.zeros_like(single)], axis=1)
         return np.asarray(np.concatenate([body[self.pairs], outside]))
 
     def contacts(self, q: Floats, margin: float = 0.0) -> Contacts:
-        """Return the pairs that are closer than their least distance plus a margin [m]."""
+        """Return the rows that are closer than the least distance plus a margin [m]."""
         parts = []
         for first in range(0, max(len(q), 1), _CHUNK):
             found = self._contacts(q[first : first + _CHUNK], margin)
@@ -179,12 +186,11 @@ class Clearance:
         self, q: Floats, aim: float = 1.0, is_way: bool = False
     ) -> tuple[Floats, Floats]:
         """
-        Return the violation of each pose, and its gradient with respect to joint positions.
+        Return the violation of each pose, and the gradient of shape (poses, joints).
 
-        The violation of a pose is the sum of the squared missing distances, in units of `_SCALE`.
-        The gradient has the shape (poses, joints). `aim` is the fraction of the limits that a
-        search aims at. If the poses form a path (`is_way`), links that are too close to each other
-        in the first pose must gradually move apart.
+        The violation is the sum of the squared missing distances, in units of `_SCALE`. The search
+        aims at the fraction `aim` of the limits. If the poses form a path (`is_way`), links that
+        are too close in the first pose must move apart gradually.
 
         """
         margin = (1.0 - aim) * _SCALE
@@ -197,7 +203,7 @@ class Clearance:
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
-        """Return gradients of weighted sums of distances, computed as the work of forces."""
+        """Return the gradient of weighted distances: the joint efforts of contact forces."""
         robot, slopes = self.robot, np.zeros(q.shape)
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))
@@ -217,11 +223,11 @@ class Clearance:
         return slopes
 
     def is_kept(self, q: Floats, is_way: bool = False) -> bool:
-        """Return whether all poses keep the least distances; a few poses are checked first."""
+        """Return whether all poses keep the least distances; check a few poses first."""
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
-        """Return the smallest distance between each two nearby bodies, in ascending order."""
+        """Return the smallest distance for each pair of names, in ascending order."""
         found = self.contacts(q, _FAR)
         rotations, positions = body_frames(self.robot, q)
         nearest: dict[tuple[str, str], Nearest] = {}
@@ -241,7 +247,7 @@ class Clearance:
 
     @cached_property
     def _trees(self) -> list[Any]:
-        """Search trees of the surface points in each capsule."""
+        """Search tree of the surface points in each capsule."""
         from scipy.spatial import cKDTree
 
         return [cKDTree(points) for points in self.capsules.surfaces]
@@ -250,10 +256,10 @@ class Clearance:
         self, row: int, R: Floats, p: Floats, otherwise: float, below: float = math.inf
     ) -> float:
         """
-        Return the distance between the two surfaces of a row [m]; R and p are the body frames.
+        Return the distance between the surfaces of a pair [m].
 
-        The result is `otherwise` if a surface is unknown, and inf if the distance is at least
-        `below`.
+        R and p are the rotations and positions of all bodies. If a surface is unknown, the result
+        is `otherwise`. If the distance is at least `below`, the result is inf.
 
         """
         capsules = self.capsules
@@ -270,7 +276,7 @@ class Clearance:
         return all(len(self.capsules.surfaces[k]) for k in self.pairs[row])
 
     def names(self, row: int) -> tuple[str, str]:
-        """Return the names of a row: a link and its counterpart (a link, 'floor' or 'box')."""
+        """Return the name of a link, and the name of another link, 'floor' or 'box'."""
         p, c, names = len(self.pairs), len(self.capsules.body), self.capsules.names
         if row < p:
             first, second = self.pairs[row]
@@ -297,11 +303,11 @@ def find_clearance(
     boxes: Sequence[Floats] = (),
 ) -> Clearance:
     """
-    Find the links of a robot that may come near each other, the floor, or a box.
+    Find the least distances that a robot must keep to itself and to obstacles.
 
     `poses` are random poses within the limits, shape (poses, joints) [rad or m]. `floor` is the
-    height of the floor in the frame of the base [m]. Each of the `boxes` consists of its lowest
-    and its highest corner in this frame [m].
+    height of the floor in the base frame [m]. `boxes` contains the lowest and highest corner of
+    each box in the base frame, shape (2, 3) [m].
 
     """
     body, c = capsules.body, len(capsules.body)
@@ -314,7 +320,7 @@ def find_clearance(
     needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (2 + len(obstacles))])
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
     found, p = clearance.contacts(poses), len(pairs)
-    # A capsule end that stays near the floor at one height is on a joint axis, and is ignored.
+    # A capsule end at a constant height near the floor is on a joint axis, and is ignored.
     for end in range(p, p + 2 * c):
         heights = found.distance[found.row == end]
         if len(heights) > _ALL * len(poses) and np.ptp(heights) < _ALWAYS:
@@ -342,10 +348,10 @@ def _needed(
     clearance: Clearance, poses: Floats, pose: Integers, row: Integers, distance: Floats
 ) -> dict[int, float]:
     """
-    Return the least distance of each row for two bodies that are often near each other [m].
+    Return the least distances of two bodies that are often near each other, by row [m].
 
-    `pose`, `row` and `distance` describe the contacts of the two bodies. Rows that need not be
-    checked have a least distance of -inf.
+    `pose`, `row` and `distance` describe the contacts of the two bodies. Rows that are not checked
+    have a least distance of -inf.
 
     """
     near_poses = np.unique(pose)
@@ -365,7 +371,7 @@ def _needed(
         )
     of_poses = np.array([surfaces[pose == k].min() for k in near_poses[:_MOST_LOOKS]])
     least = CLEARANCE
-    if share > _MANY:  # close by design: half the typical distance is permitted
+    if share > _MANY:  # close by design, so permit half the typical distance
         least = float(np.clip(0.5 * np.median(of_poses), TOUCH, CLEARANCE))
     if share * np.mean(of_poses < max(least, _ALWAYS)) > _ALL:
         return dict.fromkeys(row.tolist(), -math.inf)
@@ -384,7 +390,7 @@ def _needed(
 
 
 def _nearest(a: Floats, b: Floats, c: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of segments from a to b and from c to d, shape (segments, 3)."""
+    """Return the nearest points of the segments ab and cd, shape (segments, 3) each."""
     u, v, r = b - a, d - c, a - c
     uu, uv, vv, ur, vr = (
         np.einsum('ij,ij->i', x, y) for x, y in ((u, u), (u, v), (v, v), (u, r), (v, r))
@@ -405,7 +411,7 @@ def _nearest_to_box(start: Floats, end: Floats, low: Floats, high: Floats) -> Fl
 
 
 def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return distances of points to a box, negative inside, and directions away from the box."""
+    """Return signed distances of points to a box, and directions away from the box."""
     beyond = np.concatenate([low - points, points - high], axis=1)
     deepest = beyond.argmax(axis=1)
     inside = np.concatenate([-np.eye(3), np.eye(3)])[deepest]
@@ -418,7 +424,7 @@ def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _twice(points: Floats) -> Floats:
-    """Pair each point with itself; the second point of each pair belongs to the obstacle."""
+    """Pair each point with itself, because an obstacle needs a point too."""
     return np.stack([points, points], axis=1)
 
 

@@ -17,13 +17,12 @@ class FourierSeries:
     """
     A motion of several joints as a Fourier series.
 
-    Velocity and acceleration are zero at both ends. Therefore, the motion can start from rest and
-    can be repeated.
+    Velocity and acceleration are zero at both ends, so that the motion can be repeated.
 
     """
 
     joint_names: tuple[str, ...]
-    """The joints that move."""
+    """Names of the moving joints."""
     duration: float
     """Duration of the motion, equal to the period of the first harmonic [s]."""
     coefficients: Floats
@@ -43,9 +42,10 @@ class FourierSeries:
 
     def trajectory(self, rate: float, speed: float = 1.0) -> Trajectory:
         """
-        Return the motion as points at a rate [Hz]; the first and last points are exactly at rest.
+        Sample the motion at a rate [Hz].
 
-        `speed` scales the speed: with a value of 0.2, the same path takes five times as long.
+        The first and last points are exactly at rest. With a `speed` of 0.2, the motion takes five
+        times as long.
 
         """
         count = max(2, math.ceil(self.duration / speed * rate - 1e-9) + 1)
@@ -58,11 +58,11 @@ class FourierSeries:
 
 def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Floats, Floats]:
     """
-    Evaluate the basis functions of a motion, and their first and second derivatives.
+    Evaluate the basis functions and their first and second derivatives.
 
     With h harmonics, the functions are a constant, h - 1 combinations of sines, and h - 1
-    combinations of cosines. Their first and second derivatives are zero at both ends. `duration`
-    is the period of the first harmonic [s]. Returns three arrays of shape (times, 2 h - 1).
+    combinations of cosines. The derivatives are zero at both ends. `duration` is the period of the
+    first harmonic [s]. Returns three arrays of shape (times, 2 h - 1).
 
     """
     orders = np.arange(1.0, harmonics + 1.0)
@@ -80,9 +80,9 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
 
 @cache
 def _combinations(harmonics: int) -> tuple[Floats, Floats]:
-    """Return combinations of sines and of cosines, one per column; all start at rest."""
+    """Return combinations of sines and of cosines that start at rest, as columns."""
     orders = np.arange(1.0, harmonics + 1.0)
-    # Amplitudes that decrease with the order give all combinations similar speeds.
+    # The division by the orders gives all combinations similar speeds.
     of_sines = _null_space(np.ones(harmonics)) / orders[:, np.newaxis]
     of_cosines = _null_space(orders) / orders[:, np.newaxis]
     return of_sines, of_cosines

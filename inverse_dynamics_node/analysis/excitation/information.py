@@ -1,14 +1,15 @@
 """
-Computes how much information about masses and friction the efforts of a motion contain.
+Computes how accurately the efforts of a motion determine masses and friction.
 
 Efforts are linear in the unknowns: tau = Y(q, qd, qdd) pi + a qdd + d qd + c tanh(qd / w) + o.
-Here, pi are the inertial parameters of the bodies, a is the armature, d the damping, c the Coulomb
-friction with the width w, and o an offset. The parameters pi affect efforts only through certain
-combinations, called base parameters. For each base parameter, one column of Y is used.
+The vector pi contains the inertial parameters of the bodies. Each joint has an armature a, a
+damping d, a Coulomb friction c of width w, and an offset o. Efforts depend only on certain
+combinations of inertial parameters, the base parameters. One column of Y is used for each base
+parameter.
 
-The matrix W contains these columns and the columns of the joint terms, for all samples of a
-motion. Each row is divided by the noise of its effort. The information is W^T W, and its inverse
-is the covariance of the unknowns.
+The matrix W contains the columns of Y and of the joint terms, for all samples of a motion. Each
+row of W is divided by the noise of the effort. The information matrix is W^T W. The inverse of the
+information matrix is the covariance of the unknowns.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
 WIDTH = 0.02
 """Width of smoothed Coulomb friction, as a fraction of the largest speed."""
 _SAMPLES = 400
-"""Number of random states from which the columns are selected."""
+"""Number of random states that determine the base parameters."""
 _STATES = 500
-"""Number of random states for which the error of predicted efforts is computed."""
+"""Number of random states for the error of predicted efforts."""
 _GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
 """Indices of mass, first moments and moments of inertia among the parameters of a body."""
 
@@ -39,9 +40,9 @@ class Unknowns:
     The unknowns that the efforts of the moving joints can determine.
 
     `noise` is the standard deviation of the measured effort of each moving joint [N m or N].
-    `columns` contains the indices of the selected columns. The full set has ten columns for each
-    body except the base, followed by one column per moving joint for each term in `OF_JOINT`.
-    `scale` contains the RMS of each weighted column. Each column is divided by this RMS.
+    `columns` contains the indices of the selected columns. There are ten columns for each body
+    except the base, and then one column per moving joint for each term in `OF_JOINT`. `scale`
+    contains the RMS of each selected column after division by the noise.
 
     """
 
@@ -60,7 +61,7 @@ class Unknowns:
         self.scale = sizes[self.columns]
 
     def weighted(self, states: States) -> Floats:
-        """Return scaled columns divided by the noise, shape (states, moving joints, unknowns)."""
+        """Return columns divided by noise and scale, shape (states, moving joints, unknowns)."""
         return self.of_efforts(states) / (self.noise[:, np.newaxis] * self.scale)
 
     def of_efforts(self, states: States) -> Floats:
@@ -75,11 +76,11 @@ class Unknowns:
 
     def weighted_sum(self, weights: Floats) -> Callable[[States], Floats]:
         """
-        Return a function that sums the products of weights and entries of `weighted`.
+        Return a function that computes the sum of `weights` times `weighted` for each state.
 
-        Weights have the shape (samples, moving joints, unknowns). The function accepts r states of
-        each sample, in an array of shape (r * samples, moving joints), and returns one sum per
-        state. The function sums over all columns, because a selection of columns takes longer.
+        `weights` has the shape (samples, moving joints, unknowns). The function accepts r states
+        per sample, in arrays of shape (r * samples, moving joints). The function sums over all
+        columns, because the selection of columns would take longer.
 
         """
         k, m, _ = weights.shape
@@ -104,7 +105,7 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return the indices of body and of joint unknowns, and the latter's terms and joints."""
+        """Return the indices of body unknowns and of joint unknowns, with terms and joints."""
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
@@ -118,15 +119,15 @@ class Unknowns:
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
     """
-    Standard errors due to the assumed noise; NaN for unknowns that the efforts do not determine.
+    Standard errors due to the assumed noise.
 
-    The unknowns of bodies are base parameters. If only a combination of parameters affects the
-    efforts, the error of the combination is listed under one of its parameters.
+    If the efforts depend only on a combination of parameters, one parameter has the error of the
+    combination. The other parameters have the error NaN.
 
     """
 
     joint_names: tuple[str, ...]
-    """The joints that move."""
+    """Names of the moving joints."""
     noise: Floats
     """Assumed standard deviation of measured efforts, shape (moving joints,) [N m or N]."""
     of_joints: Floats
@@ -142,7 +143,7 @@ class ExpectedErrors:
 
 
 def expected_errors(unknowns: Unknowns, information: Floats) -> ExpectedErrors:
-    """Compute standard errors from the information of a motion, shape (unknowns, unknowns)."""
+    """Compute standard errors from an information matrix, shape (unknowns, unknowns)."""
     limits, covariance = unknowns.limits, np.linalg.inv(information)
     errors = np.sqrt(np.diagonal(covariance)) / unknowns.scale
     m, robot = len(limits.joint_names), unknowns.dynamics.robot

@@ -1,9 +1,8 @@
 """
-Describes the limits of a motion, and samples joint states within these limits.
+Collects the limits of a motion, and draws random states within the limits.
 
-A motion has limits of positions, speeds and efforts. Values are assumed for missing limits of
-positions and speeds. A missing effort limit remains infinite. The module `clearance` describes the
-distances that the robot must keep.
+Missing position and speed limits are replaced by assumed values. A missing effort limit remains
+infinite. The module `clearance` computes the distances that the robot must keep.
 """
 
 from __future__ import annotations
@@ -23,33 +22,29 @@ from ..sizing import joint_ranges
 from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
-"""Fraction of the limits that a motion uses; control and unknown masses may need the rest."""
+"""Fraction of the limits that a motion uses. The controller may need the rest."""
 ASSUMED_SPEED = (1.0, 0.25)
-"""Value assumed for a missing speed limit: revolute [rad/s], prismatic [m/s]."""
+"""Assumed speed limits of a revolute joint [rad/s] and of a prismatic joint [m/s]."""
 ASSUMED_SLIDE = 1.0
 """Assumed range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
-"""A joint with a smaller range is not moved [rad or m]."""
+"""A joint with a smaller range does not move [rad or m]."""
 _POSES = 400
-"""Number of random poses that show which links of the robot may come near each other."""
+"""Number of random poses that show which links may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A light joint carries less than this mass [kg] and less than this fraction of the robot mass."""
+"""A light joint carries less than this mass [kg] and this fraction of the moving mass."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of the joints that move; all other joints of the robot remain at rest."""
+    """Limits of a motion. Joints that do not move remain at rest."""
 
     joint_names: tuple[str, ...]
-    """The joints that move."""
+    """Names of the moving joints."""
     index: list[int]
-    """Indices of the moving joints among the joints of the robot."""
+    """Indices of the moving joints among all joints of the robot."""
     rest: Floats
-    """
-    Positions of all joints of the robot before a motion, shape (joints,) [rad or m].
-
-    The way to the start of a motion begins in this pose. Joints that do not move keep this pose.
-    """
+    """Positions of all joints before the motion, shape (joints,) [rad or m]."""
     lower: Floats
     """Lower ends of the position ranges, shape (moving joints,) [rad or m]."""
     upper: Floats
@@ -70,7 +65,7 @@ class MotionLimits:
 
     @property
     def half(self) -> Floats:
-        """Half the width of the position ranges, shape (moving joints,) [rad or m]."""
+        """Half width of the position ranges, shape (moving joints,) [rad or m]."""
         return np.asarray(0.5 * (self.upper - self.lower))
 
 
@@ -84,12 +79,11 @@ def motion_limits(
     """
     Collect the limits of a motion.
 
-    `joints` are the joints to move; the default is all joints that can move, except joints that
+    `joints` are the joints to move. The default is all joints that can move, except joints that
     carry almost no mass. The motion uses a `fraction` of the position ranges, speeds and efforts.
-    `ranges` replaces position ranges of the robot description, and is used in full [rad or m].
-    `rest` sets joint positions before the motion [rad or m], also for joints that do not move. The
-    default position is 0 or the nearest limit. Raises ConfigurationError if a joint does not exist
-    or cannot move, or if a value is invalid.
+    `ranges` replaces position ranges [rad or m] and is not reduced. `rest` contains joint
+    positions before the motion [rad or m]. A missing position is 0 or the limit nearest to 0.
+    Raises ConfigurationError if a joint does not exist or cannot move, or if a value is invalid.
 
     """
     if not 0.0 < fraction <= 1.0:
@@ -125,7 +119,7 @@ def motion_limits(
 
 
 def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Floats, Floats, Floats]:
-    """Return the ranges and speeds to use; add the assumptions to the notes."""
+    """Return lower ends, upper ends and speeds; append the assumptions to `notes`."""
     slides = robot.is_prismatic_joint
     lower, upper = joint_ranges(robot)
     unbounded = slides & ~(np.isfinite(lower) & np.isfinite(upper))
@@ -144,8 +138,8 @@ def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Float
         (unbounded, f'joints without position limits move within {ASSUMED_SLIDE:g} m'),
         (
             ~np.isfinite(robot.velocity_limits),
-            f'assumed speed limit of {ASSUMED_SPEED[0]:g} rad/s (prismatic joints: '
-            f'{ASSUMED_SPEED[1]:g} m/s), because the robot description has none',
+            f'joints without a speed limit have an assumed limit of {ASSUMED_SPEED[0]:g} rad/s '
+            f'(prismatic joints: {ASSUMED_SPEED[1]:g} m/s)',
         ),
     ):
         found = [robot.joint_names[i] for i in np.flatnonzero(condition)]
@@ -169,7 +163,7 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
 
 
 def _light(robot: RobotModel) -> dict[str, str]:
-    """Return joints that carry almost no mass, such as finger joints, each with an explanation."""
+    """Return the names of light joints, such as finger joints, each with an explanation."""
     carried = robot.mass.copy()
     for body in range(len(carried) - 1, 0, -1):
         carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
@@ -223,7 +217,7 @@ class States(NamedTuple):
 
 
 def whole_states(limits: MotionLimits, states: States) -> States:
-    """Return the states of all joints of the robot, in arrays of shape (states, joints)."""
+    """Extend states of the moving joints to all joints of the robot, shape (states, joints)."""
     q = whole_positions(limits, states.q)
     whole = States(q, np.zeros_like(q), np.zeros_like(q))
     for part, values in zip(whole[1:], states[1:], strict=True):
@@ -239,7 +233,12 @@ def whole_positions(limits: MotionLimits, q: Floats) -> Floats:
 
 
 def random_states(limits: MotionLimits, count: int, rng: np.random.Generator) -> States:
-    """Draw states within the limits; the largest acceleration reaches full speed in 0.5 s."""
+    """
+    Draw random states within the limits of positions and speeds.
+
+    The largest acceleration reaches the largest speed in 0.5 s.
+
+    """
     m = len(limits.speeds)
     q = rng.uniform(limits.lower, limits.upper, (count, m))
     qd = rng.uniform(-limits.speeds, limits.speeds, (count, m))
@@ -255,9 +254,9 @@ def keep_clear(
     boxes: Sequence[Floats] = (),
 ) -> MotionLimits:
     """
-    Return the limits with distances that keep the robot clear of itself and of obstacles.
+    Add the least distances between the links, to the floor and to boxes.
 
-    `capsules` enclose the bodies of the robot. For `floor` and `boxes`, see `find_clearance`.
+    `capsules` enclose the bodies of the robot. `find_clearance` describes the other arguments.
 
     """
     poses = random_states(limits, _POSES, np.random.default_rng(3)).q
@@ -272,9 +271,8 @@ def excess(
     """
     Return how far states exceed each limit, relative to the limit.
 
-    `aim` is the fraction of a limit at which the excess starts; below this value, the excess is 0.
-    The result has one row per state, and one column for each finite limit of position, speed or
-    effort.
+    The excess starts at the fraction `aim` of a limit. The result has one row per state and one
+    column per finite limit.
 
     """
     parts = [

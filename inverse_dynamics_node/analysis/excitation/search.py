@@ -1,9 +1,9 @@
 """
-Searches, within limits, for the motion that maximises the information in the efforts.
+Searches for the motion that determines masses and friction most accurately.
 
-The search varies the coefficients of a Fourier series [1]_ to maximise the logarithm of the
-determinant of the information (D-optimal design). During the search, violations of limits are
-penalised. The result keeps all limits.
+The search varies the coefficients of a Fourier series [1]_ to maximise the determinant of the
+information matrix (D-optimal design). During the search, violated limits add a penalty. The result
+keeps all limits.
 
 References
 ----------
@@ -33,56 +33,57 @@ HARMONICS = 5
 NOISE = 0.01
 """Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
 SAMPLES_PER_SECOND = 10.0
-"""Number of independent samples per second; smoothing removes faster noise [Hz]."""
+"""Rate of independent samples after smoothing [Hz]."""
 _STEP = 1e-6
-"""Step of finite differences [rad or m]; for rates, the step is relative to the largest speed."""
+"""Step of finite differences [rad or m]. Steps of rates are multiplied by the largest speed."""
 _PER_HARMONIC = 16
-"""Number of samples for each harmonic during the search."""
+"""Number of samples per harmonic during the search."""
 _FINE = 8
-"""Number of samples in the final check for each sample of the search."""
+"""Number of states in the final check per sample of the search."""
 _DENSER = 4
-"""Number of poses to check for collisions for each sample of the search."""
+"""Number of poses that are checked for collisions per sample of the search."""
 _COARSE, _SHRINKING = 8, 0.95
-"""Coarse checks use every 8th state; if the full check fails, a motion shrinks by this factor."""
+"""Interval of states in coarse checks, and factor that shrinks a motion after a failed check."""
 _WAY = 60
-"""Number of poses that the search checks on the way to the start of a motion."""
+"""Number of poses that the search checks on the path to the start of a motion."""
 CANDIDATES = 30
-"""Number of random motions; the search starts from the best of these motions."""
+"""Number of random motions. The search starts from the best random motion."""
 _POSES = 300
-"""Number of random poses; the drives must be able to hold at least one pose."""
+"""Number of random poses. The drives must be able to hold at least one pose."""
 _NEARLY_ALL = 0.9
-"""If more than this fraction of poses is below the floor, the floor height is probably wrong."""
+"""If the floor is above more than this fraction of poses, the floor is probably too high."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
-"""Penalty weight relative to one unknown, and number of iterations, for each round."""
+"""Penalty weight and number of iterations of each round."""
 _LARGEST_WORK = 1.5e9
-"""Largest number of regressor entries to compute; robots with many joints get fewer iterations."""
+"""Largest number of regressor entries that a search may compute."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
-"""Fraction of the limits that the search aims at, because penalties allow small violations."""
+"""Fraction of the limits that the search aims at, because penalties permit small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
-"""After a violation, the search aims at these fractions of the limits in turn."""
+"""Smaller fractions of the limits that are tried if the result violates a limit."""
 _OF_REPAIR = (1e5, 30)
+"""Penalty weight and number of iterations of each repair."""
 _LEAST_NOISE = 1e-6
 """Smallest assumed noise [N m or N]."""
 _TINY = 1e-9
-"""Value added to the diagonal of the scaled information to keep the determinant above zero."""
+"""Value that is added to the diagonal of the information matrix to keep it invertible."""
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """The best motion that was found, and its information."""
+    """The best motion that was found."""
 
     series: FourierSeries
     limits: MotionLimits
     unknowns: Unknowns
     information: Floats
-    """Information about the scaled unknowns, shape (unknowns, unknowns)."""
+    """Information matrix of the scaled unknowns, shape (unknowns, unknowns)."""
     log_det: float
-    """Logarithm of the determinant of the mean information per sample."""
+    """Log-determinant of the information matrix per sample."""
     random_log_det: float
     """Largest `log_det` of `CANDIDATES` random motions within the same limits."""
     nearest: tuple[Nearest, ...] = ()
-    """Smallest distances during the motion and on the way to its start, in ascending order."""
+    """Smallest distances during the motion and on the path to its start, in ascending order."""
 
 
 def find_excitation(
@@ -94,13 +95,13 @@ def find_excitation(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """
-    Find an excitation motion; equal arguments always give equal results.
+    Find an excitation motion.
 
-    `duration` is the duration of the motion [s], and `harmonics` the number of harmonics of the
-    Fourier series. `noise` is the standard deviation of measured efforts [N m or N]: one value for
-    all moving joints or one value for each. The default is `NOISE` times the effort limit or,
-    without an effort limit, `NOISE` times the largest effort of random motions. `progress` is
-    called regularly with the completed fraction, 0 to 1.
+    Equal arguments give equal results. `duration` is the duration of the motion [s]. `harmonics`
+    is the number of harmonics of the Fourier series. `noise` is the standard deviation of measured
+    efforts [N m or N], as one value or as one value per moving joint. The default is `NOISE` times
+    the effort limit. The largest effort of random motions replaces a missing effort limit.
+    `progress` is called regularly with the completed fraction, 0 to 1.
 
     Raises ConfigurationError if an argument is invalid, if no pose is within the limits, or if all
     motions collide.
@@ -141,10 +142,10 @@ def find_excitation(
 
 class MotionSpace:
     """
-    Motions as arrays x of coefficients, for m moving joints and h harmonics.
+    All motions of m joints with h harmonics.
 
-    The coefficients are relative to the middle and the half width of the position ranges. An array
-    x has the shape (m, 2 h - 1).
+    An array x of shape (m, 2 h - 1) represents one motion. The entries of x are coefficients of
+    the `FourierSeries`, relative to the middle and the half width of the position ranges.
 
     """
 
@@ -154,7 +155,7 @@ class MotionSpace:
         self.dynamics, self.limits = dynamics, limits
         self.shape = len(limits.index), 2 * harmonics - 1
         count = _PER_HARMONIC * harmonics
-        # The end is left out, because it equals the start.
+        # The end is left out, because the end equals the start.
         self.basis = basis(_even_times(count, duration), duration, harmonics)
         self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
         self._pose_basis = basis(_even_times(_DENSER * count, duration), duration, harmonics)[0]
@@ -170,14 +171,14 @@ class MotionSpace:
         return States(*(part @ self.coefficients(x).T for part in self.basis))
 
     def is_within_limits(self, x: Floats, every: int = 1) -> bool:
-        """Return whether a motion is within the limits at the states of the final check."""
+        """Return whether a motion keeps all limits; only every n-th state is checked."""
         states = States(*(part[::every] @ self.coefficients(x).T for part in self._fine_basis))
         if excess(self.dynamics, self.limits, states).any():
             return False
         return self._is_clear(states.q, every)
 
     def _is_clear(self, q: Floats, every: int = 1) -> bool:
-        """Return whether poses of the moving joints and the way to the first pose are clear."""
+        """Return whether poses, and the path to the first pose, keep the least distances."""
         clearance = self.limits.clearance
         if clearance is None:
             return True
@@ -185,7 +186,7 @@ class MotionSpace:
         return clearance.is_kept(whole_positions(self.limits, q)) and clearance.is_kept(way, True)
 
     def nearest(self, x: Floats) -> tuple[Nearest, ...]:
-        """Return the smallest distances during a motion and on the way to its start."""
+        """Return the smallest distances during a motion and on the path to its start."""
         clearance, q = self.limits.clearance, self._fine_basis[0] @ self.coefficients(x).T
         if clearance is None:
             return ()
@@ -198,11 +199,11 @@ class MotionSpace:
 
     def missing_clearance(self, x: Floats, aim: float) -> tuple[float, Floats]:
         """
-        Return the clearance violation of a motion and of the way to its start, and the gradient.
+        Return how far a motion violates the least distances, and the gradient.
 
-        The violation is the mean of `Clearance.violation` over the motion plus the mean over the
-        way to its start. The gradient is with respect to the coefficients, shape (moving joints,
-        2 * harmonics - 1). `aim` is the fraction of the limits that the search aims at.
+        The violation is the mean of `Clearance.violation` over the motion, plus the mean over the
+        path to its start. The gradient with respect to the coefficients has the shape (moving
+        joints, 2 * harmonics - 1). The search aims at the fraction `aim` of the limits.
 
         """
         clearance, index = self.limits.clearance, self.limits.index
@@ -217,12 +218,12 @@ class MotionSpace:
         return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
-        """Return poses on the straight way from rest to a start pose, shape (count, joints)."""
+        """Return poses on the straight path from rest to a start pose, shape (count, joints)."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
         return np.asarray(rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest))
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
-        """Draw the largest possible random motions about poses that the drives can hold."""
+        """Draw random motions that are as large as the limits permit."""
         centres = self._poses(rng)
         found = []
         for k in range(count):
@@ -230,12 +231,12 @@ class MotionSpace:
             still[:, 0] = centres[k % len(centres)]
             swing = rng.normal(size=self.shape)
             swing[:, 0] = 0.0
-            # First, each joint uses its full range or speed. Then, all limits determine the size.
+            # First, each joint fills its range or reaches its largest speed.
             found.append(self._largest(still, swing / self._size(still, swing)))
         return found
 
     def within_limits(self, x: Floats, safe: Floats) -> Floats:
-        """Reduce a motion, or blend it with a safe motion, until all limits are kept."""
+        """Reduce a motion, or blend the motion with a safe motion, until all limits are kept."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
         for end, smallest in ((still, 0.5), (safe, 0.0)):
@@ -246,7 +247,7 @@ class MotionSpace:
         return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
-        """Return the pose plus the largest fraction of the swing that the limits permit."""
+        """Reduce the swing around a pose until the motion keeps all limits."""
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
@@ -284,7 +285,7 @@ class MotionSpace:
         return np.array(found)
 
     def _why(self, states: States, held: Integers) -> str:
-        """Explain why no pose is within the limits; the drives can hold the poses in `held`."""
+        """Explain why no pose keeps all limits; `held` are poses that the drives can hold."""
         limits = self.limits
         if len(held):
             return self._why_not_clear(whole_positions(limits, states.q[held]))
@@ -299,7 +300,7 @@ class MotionSpace:
         return f'no sampled pose is within the effort limits: {reason}'
 
     def _why_not_clear(self, poses: Floats) -> str:
-        """Explain why none of the given poses is clear."""
+        """Explain why no pose keeps the least distances."""
         said, clearance = f'none of {len(poses)} sampled poses is clear', self.limits.clearance
         assert clearance
         found = clearance.contacts(poses)
@@ -307,8 +308,8 @@ class MotionSpace:
         below = len(np.unique(found.pose[is_floor]))
         if below < _NEARLY_ALL * len(poses):
             return (
-                f'{said} and reachable without collisions from the pose before the motion: widen '
-                'the ranges, lower the floor (--floor), or set that pose (--at)'
+                f'{said} and reachable without a collision: widen the ranges, lower the floor '
+                '(--floor), or set another initial pose (--at)'
             )
         lowest = float(clearance.extent(poses).lowest[2])
         height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0
@@ -319,22 +320,22 @@ class MotionSpace:
 
 
 class _Objective:
-    """The negated log-determinant of the information, plus penalties for violated limits."""
+    """Negative log-determinant of the information matrix, plus penalties for violated limits."""
 
     def __init__(self, motions: MotionSpace, unknowns: Unknowns) -> None:
         self.motions, self.unknowns = motions, unknowns
         self.aim = _AIM
 
     def information(self, x: Floats) -> Floats:
-        """Return the mean information per sample, shape (unknowns, unknowns)."""
+        """Return the information matrix per sample, shape (unknowns, unknowns)."""
         return _information(self.unknowns.weighted(self.motions.states(x)))
 
     def log_det(self, x: Floats) -> float:
-        """Return the logarithm of the determinant of the mean information."""
+        """Return the log-determinant of the information matrix per sample."""
         return float(np.linalg.slogdet(self.information(x))[1])
 
     def __call__(self, flat: Floats, weight: float) -> tuple[float, Floats]:
-        """Return the value to minimise, and its gradient."""
+        """Return the value to minimise and its gradient."""
         motions, x = self.motions, flat.reshape(self.motions.shape)
         states = motions.states(x)
         columns = self.unknowns.weighted(states)
@@ -364,9 +365,9 @@ class _Objective:
 
 def _gradient(function: Callable[[States], Floats], states: States, speeds: Floats) -> States:
     """
-    Differentiate a function of the state at every sample.
+    Differentiate a function at every state.
 
-    The function returns one number for each state. This number depends on that state only.
+    The function returns one number per state. No number depends on another state.
 
     """
     here = function(states)
@@ -388,14 +389,14 @@ def _even_times(count: int, duration: float) -> Floats:
 
 
 def _information(columns: Floats) -> Floats:
-    # The product for one sample is so small that BLAS starts no threads. On a busy machine,
-    # threads would take much longer than the products.
+    # One product per sample, because BLAS would start threads for a large product. Threads are
+    # slow on a busy machine.
     products = columns.transpose(0, 2, 1) @ columns
     return np.asarray(np.mean(products, axis=0) + _TINY * np.eye(columns.shape[2]))
 
 
 def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None]) -> Floats:
-    """Return the result of a search that starts from the motion x."""
+    """Improve the motion x by a gradient search."""
     from scipy.optimize import minimize
 
     most = _most_iterations(objective)
@@ -431,7 +432,7 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
 
 
 def _most_iterations(objective: _Objective) -> int:
-    """Return the largest number of iterations per round; more joints lead to a smaller number."""
+    """Return the largest number of iterations per round. More joints lead to fewer iterations."""
     m, n = objective.motions.shape[0], len(objective.motions.limits.rest)
     entries = n * objective.unknowns.rigid_count  # per regressor
     states = 3 * m * len(objective.motions.basis[0])  # per gradient

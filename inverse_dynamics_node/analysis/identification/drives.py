@@ -1,11 +1,12 @@
 """
-Fits the effects of drives: friction, armature, current gains, and the delay of the efforts.
+Fits joint terms, gains, and the delay of the efforts.
 
-An optional joint term is used only if it improves the prediction of blocks left out of the fit.
+Joint terms are the effects of a drive, such as friction and armature. The friction width is the
+speed over which Coulomb friction is smoothed. A block is a contiguous part of the recordings. An
+optional term is used only if the prediction of left-out blocks improves.
 
-A current is the effort divided by a gain. If all gains and masses were multiplied by the same
-factor, the currents would not change. This factor is determined by a known payload or, without a
-payload, by the masses of the robot description.
+The gain of a joint is the effort per unit of current. Currents alone do not determine a common
+factor of all gains and masses. A known payload or the robot description determines this factor.
 """
 
 from __future__ import annotations
@@ -39,29 +40,29 @@ from .regression import (
 
 FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
-"""An optional term must reduce the squared residuals of the prediction by this fraction."""
+"""An optional term must reduce the squared prediction errors by this fraction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
 """Least improvement by an optional term, in standard errors of the improvement."""
 LARGEST_LOAD = 0.1
-"""Prior standard deviation of load friction [-]: the load friction of an inefficient gear."""
+"""Prior standard deviation of load friction [-], as large as in inefficient gears."""
 WIDTHS = 10
-"""Number of widths of Coulomb friction to try."""
+"""Number of friction widths to try."""
 NARROWEST = 0.002
-"""Smallest width of Coulomb friction to try [rad/s or m/s]."""
+"""Smallest friction width to try [rad/s or m/s]."""
 SIGNIFICANT = 5.0
-"""A gain is known if its inverse exceeds the standard error of the inverse by this factor."""
+"""A gain is known if its inverse exceeds this many standard errors."""
 LEAST_CHANGE = 0.15
-"""A smaller relative change of all efforts is not regarded as a common factor."""
+"""A common factor must differ from one by at least this much."""
 MOST_DISAGREEMENT = 0.5
-"""Largest RMS deviation of the joints from a common change, as a fraction of the change."""
+"""Largest RMS deviation of the joints from the common change, relative to the change."""
 EXPLAINS = 0.6
-"""Least share of a common factor in the improvement due to the identified bodies."""
+"""Fraction of the improvement by identified bodies that a common factor must explain."""
 MOST_DELAY = 0.1
 """Largest magnitude of an estimated delay [s]."""
 
 
 class JointFit(NamedTuple):
-    """Joint terms, fitted to the efforts that given bodies leave unexplained."""
+    """Joint terms that were fitted with given bodies."""
 
     model: Model
     """Model with the chosen terms; all other terms are zero."""
@@ -78,7 +79,7 @@ class Delay(NamedTuple):
 
 
 class EffortCorrection(NamedTuple):
-    """Delay and gains for the conversion of recorded values to efforts."""
+    """Delay and gains that convert recorded values to efforts."""
 
     delay: float
     """Delay of the recorded values [s]."""
@@ -93,7 +94,7 @@ class EffortCorrection(NamedTuple):
 
 
 def widths_to_try(speeds: Floats) -> Floats:
-    """Return widths of Coulomb friction to try at given joint speeds, shape (WIDTHS, joints)."""
+    """Return friction widths to try for joints of given speeds, shape (WIDTHS, joints)."""
     fast = np.maximum(speeds, 10.0 * NARROWEST)
     return np.geomspace(np.maximum(0.004 * fast, NARROWEST), 0.4 * fast, WIDTHS)
 
@@ -105,9 +106,9 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Fit joint terms to efforts that bodies do not explain; at rest, joints only have offsets."""
+    """Choose and fit the joint terms; joints that do not move only have offsets."""
     found = JointFit(start.model, start.used)
-    # The second pass uses the new efforts of coupled drives on the preceding joints.
+    # The second pass uses the new efforts of coupled drives on preceding joints.
     for _ in range(2 if start.model.couplings.any() else 1):
         found = _choose_terms(regression, found, moving, grid, optional)
     return found
@@ -134,7 +135,7 @@ def _choose_terms(
 
 
 def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
-    """Fit the chosen terms to the unexplained efforts in the given rows; ignore couplings."""
+    """Fit the chosen terms to the given rows, without couplings."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
     terms = regression.terms(model)
@@ -149,7 +150,7 @@ def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Mod
 def _block_grams(
     regression: Regression, model: Model, grid: Floats, target: Floats
 ) -> list[Floats]:
-    """Return each joint's Gram matrices of terms and target, shape (widths, blocks, 11, 11)."""
+    """Return Gram matrices for each joint, each of shape (widths, blocks, 11, 11)."""
     blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
@@ -162,7 +163,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Add useful terms to `chosen`; return the terms and the index of the best width."""
+    """Add useful terms; return all chosen terms and the index of the best width."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -176,7 +177,7 @@ def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple
 
 def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
     """Return the improvement by an additional term, relative to the required improvement."""
-    if candidate == SQRT:  # must not compensate for the step between two widths
+    if candidate == SQRT:  # SQRT must not replace a width between two tried widths
         chosen = (*chosen, WIDTH)
     losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]
     gains = losses - new
@@ -186,7 +187,7 @@ def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> floa
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
-    """Predict each block from the others; return squared residuals and the best width's index."""
+    """Return the squared prediction errors of all blocks, and the index of the best width."""
     others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
     factors = np.zeros((*grams.shape[:2], TERMS + 1))
     factors[..., -1] = 1.0
@@ -200,7 +201,7 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
     """Solve many least-squares problems at once; only `SIGNED` terms may become negative."""
     index: Integers = np.array(chosen)
     matrices = grams[..., index[:, None], index].copy()
-    # Expect small load friction, which looks like Coulomb friction if the load is constant.
+    # At constant load, load friction looks like Coulomb friction, so a prior limits load friction.
     squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
     for k in np.flatnonzero(index == LOAD):
         matrices[..., k, k] += squares / LARGEST_LOAD**2
@@ -224,11 +225,10 @@ def first_gains(
     regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
-    Estimate the effort per current of each joint, based on the bodies of the robot description.
+    Estimate the effort per current of each joint for the given bodies.
 
-    Returns the gain of each joint, and whether the recordings determine the gain. If a current and
-    its effort have opposite signs, the gain is negative. A gain that cannot be determined is set
-    to the median magnitude of the other gains.
+    Returns the gains, and whether the recordings determine each gain, shape (joints,). Gains may
+    be negative. An undetermined gain is set to the median magnitude of the determined gains.
 
     """
     rigid = regression.rigid(bodies)
@@ -255,10 +255,10 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return the factor between measured link efforts and the robot description, or None.
+    Return the common factor between measured and modelled link efforts, or None.
 
-    The result is None if the factor is near one, if the factors of the joints differ, or if a
-    common factor explains too little of the improvement due to the identified bodies.
+    The result is None if the factor is near one, or if the joints have different factors. The
+    result is also None if the factor hardly explains the improvement by the identified bodies.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
@@ -286,10 +286,9 @@ def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> 
 
 def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     """
-    Estimate the delay of the measured efforts together with all other unknowns.
+    Estimate the remaining delay of the corrected efforts.
 
-    The estimate is a first-order approximation of the delay that remains in the corrected efforts
-    of the regression.
+    The delay is estimated together with all other unknowns, to first order.
 
     """
     model, weights = fit.model, fit.weights
@@ -314,7 +313,7 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
 
 
 def _shifted(motion: Motion, delay: float) -> Floats:
-    """Remove a delay from the efforts of a motion, and return them, shape (samples, joints)."""
+    """Return the efforts of a motion without the delay, shape (samples, joints)."""
     from scipy.interpolate import CubicSpline
 
     efforts = motion.efforts.copy()

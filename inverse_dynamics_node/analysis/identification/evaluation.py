@@ -1,4 +1,9 @@
-"""Evaluates the fits on unseen data, collects the results, and suggests the next recordings."""
+"""
+Evaluates the fits on unseen data, collects the results, and suggests the next recordings.
+
+Unseen data are data that were not used for the fit. A fold is a fit that leaves out one block of
+the recordings.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +46,14 @@ _NAMES = {
 }
 _NOT_MOVED = 'it did not move far enough in both directions'
 LEAST_GAIN = 0.01
-"""Fraction by which the identified model must reduce the residuals of fitted friction alone."""
+"""Fraction by which the identified model must reduce the residuals of friction alone."""
 LEAST_EXPLAINED = 0.1
 """Fraction of the effort variation that the identified model must explain."""
 
 SHORT = 20.0
-"""If the recordings are shorter than this, a longer recording is suggested [s]."""
+"""A longer recording is suggested if the duration is below this [s]."""
 SLOW = 0.2
-"""A joint is slow if it mostly stays below this fraction of its speed limit."""
+"""A joint is slow if its speed mostly stays below this fraction of the speed limit."""
 FAST_ENOUGH = 0.5
 """A joint that exceeds this speed is fast enough [rad/s or m/s]."""
 LITTLE = 0.5
@@ -67,7 +72,7 @@ def evaluate(
     validation: Sequence[PreparedRecording],
 ) -> IdentificationResult:
     """
-    Return the result of an identification, evaluated on validation recordings.
+    Return the result of an identification, evaluated on the recordings in `validation`.
 
     Without validation recordings, each block of the fitted recordings is predicted from the other
     blocks.
@@ -120,14 +125,14 @@ def evaluate(
 
 
 class Fold(NamedTuple):
-    """Two models, fitted without one of the blocks."""
+    """Two models that were fitted without one block."""
 
     friction: Model
     identified: Model
 
 
 def _folds(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[Fold]:
-    """Fit both models without each of the blocks in turn."""
+    """Leave out each block in turn, and fit both models."""
     regression = data.regression
     folds = []
     for block in range(fit.equations.block_count):
@@ -144,12 +149,12 @@ def _evaluations(
     folds: Sequence[Fold],
     validation: Sequence[PreparedRecording],
 ) -> tuple[Unseen, Unseen]:
-    """Return efforts of the training data, and efforts of data unseen by the models."""
+    """Return the efforts of the training data and of unseen data."""
     training = _efforts(data, data.runs, models, (), 'the training data')
     if validation:
         text = 'recordings that were not used for the fit'
         return training, _efforts(data, validation, models, (), text)
-    text = f'blocks of the recordings, each predicted from the others ({len(folds)} blocks)'
+    text = f'{len(folds)} blocks of the recordings, each predicted from the other blocks'
     return training, _efforts(data, data.runs, models, folds, text)
 
 
@@ -160,7 +165,7 @@ def _efforts(
     folds: Sequence[Fold],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; if there are folds, each fold predicts its block."""
+    """Return measured and predicted efforts; each fold predicts its own block."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -183,9 +188,9 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; in the rows of a block, the models of its fold replace the last models."""
+    """Predict all rows; in each block, the models of the fold replace the last models."""
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
-    # The efforts keep their recorded delay, because the models do not contain a delay.
+    # The delay of the efforts is kept, because the models do not contain a delay.
     gains = data.correction.gains
     regression = regression.with_efforts([motion.efforts * gains for motion in motions])
     efforts = [regression.predict(model) for model in models]
@@ -207,7 +212,7 @@ def _times(regression: Regression) -> Floats:
 
 
 def _explains(unseen: Unseen) -> bool:
-    """Return whether the identified model explains enough of the variation of the efforts."""
+    """Return whether the identified model explains enough of the effort variation."""
     left = np.linalg.norm(rms(unseen.measured - unseen.identified))
     return bool(left < (1.0 - LEAST_EXPLAINED) * _variation(unseen))
 
@@ -218,7 +223,7 @@ def _variation(unseen: Unseen) -> float:
 
 
 def _is_better(unseen: Unseen) -> bool:
-    """Return whether identification beats friction alone in total, and not only in few joints."""
+    """Return whether the model beats friction alone, in total and on average over the joints."""
     friction = rms(unseen.measured - unseen.friction)
     identified = rms(unseen.measured - unseen.identified)
     total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))
@@ -237,23 +242,24 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
         unsmoothed = significant(float(np.linalg.norm(unseen.unsmoothed)))
         return (
             f'On unseen data the identified model leaves {identified} N m of the efforts '
-            f'unexplained, the robot description {urdf} N m, and the robot description with '
-            f'fitted friction {friction} N m. Each figure is the root of the sum of squares over '
-            f'joints, after smoothing over {1e3 * unseen.smoothing:.0f} ms; without smoothing, '
-            f'the identified model leaves {unsmoothed} N m'
+            f'unexplained. The robot description leaves {urdf} N m, or {friction} N m with fitted '
+            'friction. Each value is the root of the sum of squares over all joints, after '
+            f'smoothing over {1e3 * unseen.smoothing:.0f} ms. Without smoothing, the identified '
+            f'model leaves {unsmoothed} N m'
         )
     if not _explains(unseen):
         return (
-            f'The efforts are hardly related to the motion: they vary by '
+            'The efforts are hardly related to the motion: on unseen data, the efforts vary by '
             f'{significant(_variation(unseen))} N m, and the identified model leaves {identified} '
-            'N m on unseen data. Check that the recording contains the efforts of these joints, '
+            'N m unexplained. Check that the recording contains the efforts of these joints, '
             'and that efforts and positions have the same times. The masses of the '
             'robot description are kept'
         )
     return (
-        f'The identified model does not predict unseen data better ({identified} N m) than the '
-        f'robot description with fitted friction ({friction} N m). The masses of the robot '
-        'description are kept, and only friction is written'
+        'The identified model is not clearly better on unseen data: the model leaves '
+        f'{identified} N m unexplained, and the robot description with fitted friction leaves '
+        f'{friction} N m. The masses of the robot description are kept, and only friction is '
+        'written'
     )
 
 
@@ -313,7 +319,7 @@ def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple
 
 def _spread(joints: Sequence[Floats]) -> Floats:
     """
-    Return jackknife standard errors of the terms, from fits that leave out one block each.
+    Return jackknife standard errors of the joint terms.
 
     The errors include changes of friction between blocks. With one block, all errors are zero.
 
@@ -323,7 +329,7 @@ def _spread(joints: Sequence[Floats]) -> Floats:
 
 
 def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
-    """Return standard errors of the terms of every joint, from the curvature of the fit."""
+    """Return standard errors of the joint terms, from the Hessian of the fit."""
     variances = np.diagonal(np.linalg.inv(fit.hessian))
     first = fit.model.bodies.size
     return [
@@ -337,7 +343,7 @@ def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
 
 
 def _friction_errors(data: TrainingData, friction: JointFit) -> list[dict[str, float]]:
-    """Return standard errors of friction that was fitted without the bodies."""
+    """Return standard errors of the joint terms if only friction was fitted."""
     regression, model = data.regression, friction.model
     weights = weights_of(regression.residual(model))
     terms = regression.terms(model)
@@ -394,7 +400,7 @@ def _base_parameters(
 
 
 def _fixed(problem: IdentificationProblem) -> tuple[str, ...]:
-    """Return the moving links that have mass and were not identified."""
+    """Return the moving links with mass that were not identified."""
     identified = problem.identified
     robot = identified.robot
     changed = {link for links in identified.links for link in links}
@@ -420,23 +426,23 @@ def _warnings(
             (
                 'gains, masses and friction are known only up to one common factor',
                 'the masses of the URDF determine this factor. If these masses may be wrong, '
-                'record a run with a known payload: --payload MASS,X,Y,Z --link LINK',
+                'record a run with a known payload, and use --payload MASS,X,Y,Z --link LINK',
             )
         )
         warnings += [
             (
-                f'the gain of {names[joint]} cannot be determined: its current hardly depends on '
-                'the modelled effort',
-                'move this joint where gravity acts on it, or with high accelerations. Its gain '
-                'was set to the median of the other gains, so the units of its friction and '
-                'armature are unknown',
+                f'the gain of {names[joint]} cannot be determined, because the current hardly '
+                'depends on the modelled effort',
+                'move this joint where gravity causes an effort, or with high accelerations. The '
+                'gain was set to the median of the other gains, so the friction and armature of '
+                'the joint have an unknown unit',
             )
             for joint, known in zip(problem.joints, data.correction.is_gain_known, strict=True)
             if not known
         ]
     warnings += [
         (
-            f'the drive of {joint.name} also turns with {joint.coupled_with[0]}: by '
+            f'the drive of {joint.name} also turns with {joint.coupled_with[0]}, by '
             f'{joint.terms.coupling:.3g} rad per rad',
             'many wrists have such a coupling. A URDF cannot express the coupling, but the node '
             'has the parameter drive_coupling',
@@ -447,8 +453,8 @@ def _warnings(
     warnings += [
         (
             f'{group} moved in a fixed ratio',
-            'record a motion in which these joints move independently. Otherwise, a coupling of '
-            'their drives cannot be distinguished from their inertia and friction',
+            'record a motion in which these joints move independently. Otherwise, the fit cannot '
+            'distinguish a coupling of the drives from inertia and friction',
         )
         for group in _moved_together(data)
     ]
@@ -458,24 +464,24 @@ def _warnings(
 
 
 def _moved_together(data: TrainingData) -> list[str]:
-    """Return a text for each group of joints that moved in a fixed ratio."""
+    """Return the names of each group of joints that moved in a fixed ratio."""
     names = data.problem.identified.robot.joint_names
     groups = [[names[data.problem.joints[j]] for j in group] for group in data.regression.together]
     return [f'{", ".join(group[:-1])} and {group[-1]}' for group in groups]
 
 
 def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[str, str]]:
-    """Warn about joints for which the result is worse than no model at all."""
+    """Warn about joints whose residual is larger than the measured effort."""
     warnings = []
     for joint in joints:
         left = joint.unseen.identified if accepted else joint.unseen.friction
         if left > joint.measured:
             warnings.append(
                 (
-                    f'on unseen data, the result leaves {significant(left)} {joint.unit} of the '
-                    f'effort of {joint.name} unexplained: more than was measured '
-                    f'({significant(joint.measured)} {joint.unit})',
-                    'do not use the result for this joint. Check the sign and the unit of its '
+                    f'on unseen data, joint {joint.name} has a residual of {significant(left)} '
+                    f'{joint.unit}, which exceeds the measured effort of '
+                    f'{significant(joint.measured)} {joint.unit}',
+                    'do not use the result for this joint. Check the sign and the unit of the '
                     'effort. The recordings for the fit and for the evaluation must contain '
                     'similar motions of the joint',
                 )
@@ -484,16 +490,17 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
 
 
 def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
-    """Warn if identified masses may only reflect a common factor of all efforts."""
+    """Warn if all efforts seem to be multiplied by a common factor."""
     factor = common_factor(data.regression, fit, friction)
     if data.problem.currents or factor is None:
         return []
     return [
         (
-            f'all efforts of the links are {factor:.2f} times those of the robot description',
-            'this factor explains most of the improvement due to the identified bodies. The '
-            'efforts probably have a different unit or gain, and the masses of the robot '
-            'description are probably right. To find out, weigh a link or record a known payload',
+            f'all efforts of the links are {factor:.2f} times as large as the robot description '
+            'predicts',
+            'this factor explains most of the improvement by the identified bodies. The efforts '
+            'probably have a different unit or gain, and the masses of the robot description are '
+            'probably right. To find out, weigh a link or record a known payload',
         )
     ]
 
@@ -502,7 +509,7 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
 
 
 def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
-    """Return suggestions for the next recording, starting with the most useful suggestion."""
+    """Return suggestions for the next recording, most useful first."""
     problem = data.problem
     robot = problem.identified.robot
     advice = [
@@ -516,31 +523,33 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
         limit = float(robot.velocity_limits[joint])
         if not data.moving[j]:
             advice.append(
-                f'move {name} back and forth for 30 s: its friction is unknown, so the friction '
-                'of the robot description is kept'
+                f'move {name} back and forth for 30 s, because the friction of this joint is '
+                'still unknown'
             )
         elif speeds[joint] < min(SLOW * limit, FAST_ENOUGH):
             goal = min(FAST_ENOUGH, 0.5 * limit)
             advice.append(
-                f'record {name} for 30 s more at up to {goal:.2g} {unit}: it was faster than '
-                f'{speeds[joint]:.2g} {unit} for only 5 % of the time'
+                f'move {name} at up to {goal:.2g} {unit} for 30 s more, because the speed of this '
+                f'joint exceeded {speeds[joint]:.2g} {unit} for only 5 % of the time'
             )
     if data.duration < SHORT:
-        advice.append(f'record at least 30 s: these recordings last {data.duration:.3g} s')
+        advice.append(
+            f'record at least 30 s, because these recordings only last {data.duration:.3g} s'
+        )
     unknown = [
         body for body in bodies if body.data_fraction < LITTLE and not _is_first(robot, body)
     ]
     if unknown:
         names = ', '.join(body.link for body in unknown[:3])
         advice.append(
-            f'move all joints at the same time, in varied poses and with quick reversals: the '
-            f'masses of {names} come mostly from the robot description; `inverse_dynamics excite` '
+            'move all joints at the same time, in varied poses and with quick reversals, because '
+            f'the recordings hardly determine the mass of {names}; `inverse_dynamics excite` '
             'plans such a motion'
         )
     return tuple(advice[:MOST_ADVICE])
 
 
 def _is_first(robot: RobotModel, body: BodyResult) -> bool:
-    """Return whether a body is connected directly to the base; its mass may have no effect."""
+    """Return whether a body moves on the base directly, so that the mass may have no effect."""
     number = int(robot.link_body[robot.link_index(body.link)])
     return int(robot.parent[number]) == 0

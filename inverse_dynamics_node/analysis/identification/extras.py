@@ -1,8 +1,8 @@
 """
 Adds terms that few robots need: springs and coupled drives.
 
-The effects of other unknowns may resemble a spring or a coupling. Therefore, a term is added only
-if it clearly improves the prediction of blocks that were left out of the fit.
+A coupled drive also turns with the preceding joint. Other unknowns may have similar effects.
+Therefore, an extra term must clearly improve the prediction of left-out blocks.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ LEAST_GAIN = 0.1
 LEAST_GAIN_OF_COUPLING = 0.3
 """A coupling must reduce the squared prediction errors of two joints by this mean fraction."""
 ERRORS = 3.0
-"""Least mean improvement over the blocks, in standard errors of the mean."""
+"""Least mean improvement of the blocks, in standard errors of the mean."""
 LEAST_RELATION = 0.1
 """Fraction of a joint's residual that the motion of the coupled joint must explain."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
-"""Initial ratios for the fit of a coupling."""
+"""Initial values for the fit of a coupling."""
 RATIO_ROUNDS = 3
 WRIST = 3
-"""Largest number of joints in a wrist, which is at the end of a chain."""
+"""Largest number of joints in a wrist."""
 INTERSECTION = 2e-3
-"""Joint axes with a smaller distance are regarded as intersecting [m]."""
+"""Two joint axes intersect if their distance is smaller than this [m]."""
 
 
 def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
@@ -58,7 +58,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
 def _candidates(
     regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
 ) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
-    """Yield the joints, the required improvement and a fitting function of each extra term."""
+    """Yield the joints, the required improvement and the fit function of each extra term."""
     is_continuous = regression.problem.identified.robot.is_continuous[regression.problem.joints]
     for j in np.flatnonzero(moving).tolist():
         if not used[j, SPRING] and not is_continuous[j]:
@@ -78,7 +78,12 @@ def _candidates(
 
 
 def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
-    """Return the fit without useless extra terms, or the same fit if all terms are useful."""
+    """
+    Deselect extra terms that are useless.
+
+    Returns the same object if all terms are useful. Otherwise, the result must be fitted again.
+
+    """
     used, couplings = fit.used.copy(), fit.model.couplings.copy()
     for j in range(len(used)):
         if fit.used[j, SPRING]:
@@ -100,9 +105,8 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
     """
     Return whether `fit` predicts left-out blocks clearly better than the smaller model `base`.
 
-    `fit` must reduce the squared residuals of `joints` by the mean fraction `least`. The blocks
-    must improve consistently, because a single block, such as the fastest motion, may contain most
-    of the squared residuals.
+    `fit` must reduce the squared residuals of `joints` by the fraction `least` on average. The
+    blocks must improve consistently, because one block may contain most of the squared residuals.
 
     """
     try:
@@ -121,9 +125,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
     Return whether the drive of a joint could also turn with the preceding joint.
 
-    In some wrists, the drive is mounted before both joints, and its gears run through the first
-    joint. A wrist is at the end of a chain. Both joints are revolute, and their axes intersect.
-    Joints that moved in a fixed ratio are excluded, because their columns are collinear.
+    Couplings occur in wrists, where gears run through the preceding joint. Both joints must be
+    revolute and near the end of the chain, and their axes must intersect. Joints that moved in a
+    fixed ratio are excluded, because their columns are collinear.
 
     """
     problem = regression.problem
@@ -142,9 +146,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
 
 def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
     """
-    Return how much of one joint's residual the motion of the other joint explains.
+    Return the fraction of a joint's residual that the motion of the other joint explains.
 
-    The result is the larger of the fractions for the two joints.
+    The result is the larger fraction of the two joints.
 
     """
     residual = regression.residual(model)
@@ -177,7 +181,7 @@ def _solved(fit: RobotFit, equations: Equations, used: Booleans, start: Model) -
 
 
 def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> RobotFit:
-    """Fit the coupling of a drive, starting from the best of several ratios."""
+    """Fit the coupling of joint j, starting from the best of several values."""
 
     def fitted(model: Model) -> RobotFit:
         return _solved(fit, Equations(regression, model), used, model)
@@ -197,7 +201,7 @@ def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> R
 
 
 def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
-    """Repeat the fit without the coupling of a drive."""
+    """Repeat the fit without the coupling of joint j."""
     couplings, used = fit.model.couplings.copy(), fit.used.copy()
     couplings[j], used[j, RATIO] = 0.0, False
     used[[regression.problem.before[j], j], ARMATURE] = True
@@ -206,7 +210,7 @@ def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
 
 
 def _fitted_losses(fit: RobotFit) -> Floats:
-    """Return the weighted squared residuals of each joint in all blocks together."""
+    """Return the weighted sum of squared residuals in all blocks, shape (joints,)."""
     equations = fit.equations
     squares = [equations.squares(fit.model, k) for k in range(equations.block_count)]
     return np.asarray(fit.weights * np.sum(squares, axis=0))

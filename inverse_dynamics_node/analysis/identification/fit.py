@@ -1,12 +1,14 @@
 """
 Fits bodies and joints together by least squares, and keeps all bodies physical.
 
-The objective is the sum of squares plus a divergence for each body. If P is the pseudo-inertia of
-a body and P0 its value in the robot description, their entropic divergence is ``tr(P0^-1 P) - log
-det P`` [1]_. This divergence is convex, finite only for physical bodies, and independent of units
-and frames, up to a constant. A scalar form of the divergence keeps friction and armature positive.
-The objective is self-concordant, so Newton's method converges from any physical start. Blocked
-cross-validation determines how closely the bodies follow the robot description.
+The objective is the sum of squared residuals plus an entropic divergence for each body [1]_. The
+divergence of a body is ``tr(P0^-1 P) - log det P``. P is the pseudo-inertia of the body, and P0 is
+the pseudo-inertia in the robot description. The divergence is convex, and finite only for physical
+bodies. A scalar form of the divergence keeps friction and armature positive. The objective is
+self-concordant, so Newton's method converges from any physical start.
+
+The weight of the robot description is the factor of the divergence. Cross-validation with blocks
+of the recordings determines this weight.
 
 References
 ----------
@@ -29,25 +31,25 @@ from .regression import LOAD, Model, moved_by, Regression, SIGNED, TERMS
 
 URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
 """
-Weights of the robot description, strongest first.
+Weights of the robot description to try, largest first.
 
 With a weight of 1, a mass that the recordings do not determine has a standard error of 100 %.
 """
 EXPECTED_ERROR = 0.3
-"""Expected standard deviation of the relative errors of masses in a robot description."""
+"""Expected relative error of masses in a robot description."""
 ENOUGH = 0.9
-"""A mass may more than double only if recordings provide this fraction of its information."""
+"""A mass is determined if recordings provide this fraction of its information."""
 MOST_GROWTH = 2.0
-"""Largest factor by which a mass may grow, unless the recordings determine the mass."""
+"""Largest growth factor of a mass that the recordings do not determine."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
-"""The solver stops if the squared Newton decrement is smaller than this."""
+"""The solver stops when the squared Newton decrement is smaller than this."""
 _TO_EDGE = 0.95
-"""Largest step, as a fraction of the step at which a body becomes unphysical."""
+"""Largest step, as a fraction of the step at which a value becomes unphysical."""
 
 
 class RobotFit(NamedTuple):
-    """The solution of a regularised least-squares problem: fitted bodies and joints."""
+    """Bodies and joints that were fitted together."""
 
     equations: Equations
     weights: Floats
@@ -56,9 +58,9 @@ class RobotFit(NamedTuple):
     """Whether each term of each joint was fitted, shape (joints, 10)."""
     model: Model
     unknowns: Integers
-    """Indices of the fitted unknowns; there are ten unknowns per body, then ten per joint."""
+    """Indices of the fitted unknowns, out of ten per body followed by ten per joint."""
     hessian: Floats
-    """Inverse of the covariance of the unknowns."""
+    """Inverse covariance of the unknowns."""
     prior: Prior
 
     def without(self, block: int) -> Model:
@@ -68,7 +70,7 @@ class RobotFit(NamedTuple):
 
 
 def correlation(residual: Floats) -> float:
-    """Return how many successive rows contain as much information as one independent row."""
+    """Return the number of rows that contain as much information as one independent row."""
     values = residual - residual.mean()
     count = len(values)
     spectrum = np.fft.rfft(values, 2 * count)
@@ -82,14 +84,14 @@ def correlation(residual: Floats) -> float:
 
 
 def weights_of(residual: Floats) -> Floats:
-    """Return the weight of each joint: the inverse variance, corrected for correlated rows."""
+    """Return inverse variances, corrected for correlated rows, shape (joints,)."""
     squares = np.mean(residual**2, axis=0)
     dependent = np.array([correlation(column) for column in residual.T])
     return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
 
 
 class Equations:
-    """Normal equations of each joint and block, at friction widths and gear loads of a model."""
+    """Normal equations of each joint and block, linearised at a model."""
 
     def __init__(self, regression: Regression, model: Model) -> None:
         self.regression = regression
@@ -113,7 +115,7 @@ class Equations:
                     regression.efforts[:, j] - regression.known[:, j],
                 ]
             )
-            self.all.append(table.T @ table)  # includes rows outside the blocks
+            self.all.append(table.T @ table)  # includes rows between blocks
             parts = [table[regression.block == k] for k in range(self.block_count)]
             self.blocks.append([part.T @ part for part in parts])
 
@@ -151,9 +153,9 @@ def solve(
     """
     Minimise the weighted squared residuals plus the divergence from the robot description.
 
-    `weights` are the inverse variances of the joint residuals, corrected for correlated rows.
-    `urdf_weight` contains the divergence weight of each body. Terms that are not `used` are zero.
-    The reference values of positive terms depend on `start`. The block `without` is left out.
+    `weights` is the result of `weights_of`. `urdf_weight` contains the weight of the divergence of
+    each body, shape (bodies,). Terms that are not `used` are zero. The reference values of
+    positive terms depend on `start`. The block `without` is left out.
 
     """
     identified = equations.regression.problem.identified
@@ -181,11 +183,11 @@ def solve(
 
 def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
     """
-    Return the strongest weight whose loss is not clearly larger than the smallest loss.
+    Choose the largest weight of the robot description with a small loss.
 
-    Each block of the recordings is predicted by a fit to the other blocks. The loss of a weight is
-    the sum of the weighted squared residuals of all blocks. A loss is clearly larger if it exceeds
-    the smallest loss by more than 5 %, or by more than the standard error of the difference.
+    Each block is predicted by a fit to the other blocks. The loss is the sum of weighted squared
+    prediction errors. A loss is small if it exceeds the smallest loss by at most 5 %, and by at
+    most the standard error of the difference.
 
     Returns the chosen weight, and the loss of each weight in `URDF_WEIGHTS`.
 
@@ -232,11 +234,11 @@ def solve_within_reason(
 
 def mass_information(fit: RobotFit) -> Floats:
     """
-    Return, for each mass, the fraction of the information that comes from the recordings.
+    Return the fraction of information about each mass that comes from the recordings.
 
-    The rest comes from the robot description. This part depends on the expected error of the
-    description, and not on the weight of the description in the fit. Efforts of joints that moved
-    in a fixed ratio are ignored, because these efforts cannot be assigned to a single joint.
+    The remaining information comes from the robot description. The masses in the description are
+    assumed to have relative errors of `EXPECTED_ERROR`. Efforts of joints that moved in a fixed
+    ratio are ignored, because these efforts cannot be assigned to a single joint.
 
     """
     count = len(fit.model.bodies)
@@ -259,7 +261,7 @@ def _without_dependent_joints(fit: RobotFit) -> Floats:
     weights[dependent] = fit.weights[dependent]
     matrix, _ = fit.equations.normal(weights)
     hessian = fit.hessian - matrix[np.ix_(fit.unknowns, fit.unknowns)]
-    # The terms of these joints affect nothing else. A small curvature keeps the matrix invertible.
+    # The terms of these joints have no effect now. A small curvature keeps the matrix invertible.
     diagonal = np.arange(fit.model.bodies.size, len(hessian))
     hessian[diagonal, diagonal] += 1e-6 * np.diagonal(fit.hessian)[diagonal]
     return np.asarray(hessian)
@@ -270,7 +272,12 @@ def _without_dependent_joints(fit: RobotFit) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Reference values of the unknowns: ten per body, then the unknowns of the joints."""
+    """
+    Divergence of the unknowns from reference values.
+
+    The unknowns are ten parameters per body, followed by the unknowns of the joints.
+
+    """
 
     bodies: Floats
     """Reference parameters of the bodies, shape (bodies, 10)."""
@@ -279,9 +286,9 @@ class Prior:
     positive: Integers
     """Indices of the unknowns that must be positive."""
     scales: Floats
-    """Reference values of the unknowns that must be positive."""
+    """Reference values of the positive unknowns."""
     positive_weights: Floats
-    """Weights of the divergence of the unknowns that must be positive."""
+    """Weights of the divergence of the positive unknowns."""
 
     def value(self, x: Floats) -> float:
         """Return the divergence, or inf for unphysical values."""
@@ -316,7 +323,7 @@ class Prior:
         return gradient, hessian
 
     def longest_step(self, x: Floats, step: Floats) -> float:
-        """Return a factor for a step, at most 1, with which all values stay physical."""
+        """Return a step factor, at most 1, that keeps all values physical."""
         longest = 1.0
         numbers, change = x[self.positive], step[self.positive]
         if (change < 0.0).any():
@@ -362,7 +369,7 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
         gradient += matrix @ x - vector
         hessian += matrix
         if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
-            raise np.linalg.LinAlgError('a parameter has no influence on the efforts')
+            raise np.linalg.LinAlgError('a parameter does not affect the efforts')
         size = 1.0 / np.sqrt(np.diagonal(hessian))
         factor = cho_factor(hessian * np.outer(size, size) + 1e-12 * np.eye(len(x)))
         step = -size * cho_solve(factor, size * gradient)
@@ -376,6 +383,6 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
                 break
             length *= 0.5
         else:
-            break  # no better point, except for rounding errors
+            break  # rounding errors prevent further progress
         x, value = x + length * step, trial
     return x, hessian

@@ -1,8 +1,7 @@
 """
-Identifies a robot from recordings.
+Runs the steps of the identification in order.
 
-`identify_parameters` performs the steps of the method in order. Later steps use the results of
-earlier steps.
+Joint terms are the effects of a drive, such as friction and armature.
 """
 
 from __future__ import annotations
@@ -52,16 +51,17 @@ def identify_parameters(
     Identify inertial parameters, friction and armature of a robot.
 
     If the recordings contain little information, the result stays close to the robot description.
-    The result is evaluated on the `validation` recordings or, without validation recordings, on
-    blocks of the other recordings that are left out of the fit in turn. `gravity` is the free-fall
-    acceleration in the base frame [m/s^2]. `payload` contains the link, mass [kg] and centre of
-    mass [m] of a known payload, attached during all recordings. The links in `fixed` do not
-    change. If `currents` is true, motor currents were recorded instead of efforts, and one gain
-    per joint is estimated. `progress` is called regularly with the completed fraction, 0 to 1.
+    The result is evaluated on the `validation` recordings. Without `validation`, each block of the
+    other recordings is predicted from the remaining blocks.
 
-    Raises RecordingError if a recording is not usable, or if the recordings are too short or
-    contain too little information. Raises ConfigurationError if a link does not exist, or if
-    nothing is left to identify.
+    `gravity` is the free-fall acceleration in the base frame [m/s^2]. `payload` contains the link,
+    mass [kg] and centre of mass [m] of a known payload. The links in `fixed` do not change. If
+    `currents` is true, motor currents were recorded instead of efforts, and one gain per joint is
+    estimated. `progress` is called with the completed fraction, 0 to 1.
+
+    Raises RecordingError if the recordings are unusable, too short, or contain too little
+    information. Raises ConfigurationError if a link does not exist, or if nothing is left to
+    identify.
 
     """
     joints = measured_joints(robot, recordings)
@@ -99,21 +99,21 @@ def identify_parameters(
 
 
 def with_first_gains(data: TrainingData) -> TrainingData:
-    """Convert currents to efforts, with gains based on the masses of the robot description."""
+    """Convert currents to efforts, based on the masses of the robot description."""
     before = data.problem.identified.before
     gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
     return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
 
 
 def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return a model with the given bodies and without joint terms."""
+    """Return a model with the given bodies and no joint terms."""
     m = len(data.problem.joints)
     model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     return JointFit(model, np.zeros((m, TERMS), dtype=bool))
 
 
 def fit_friction(data: TrainingData) -> JointFit:
-    """Fit friction alone to the efforts that the robot description does not explain."""
+    """Fit friction alone, with the bodies of the robot description."""
     start = without_terms(data, data.problem.identified.before)
     return choose_terms(data.regression, start, data.moving, data.widths, optional=False)
 
@@ -121,7 +121,7 @@ def fit_friction(data: TrainingData) -> JointFit:
 def fit_in_turn(
     data: TrainingData, fit: JointFit | RobotFit, urdf_weights: Floats, rounds: int = ROUNDS
 ) -> RobotFit:
-    """Repeatedly choose joint terms and weights, and fit the terms together with the bodies."""
+    """Repeatedly choose joint terms, and then fit all unknowns together."""
     for _ in range(rounds):
         start, used = choose_terms(data.regression, fit, data.moving, data.widths)
         weights = weights_of(data.regression.residual(start))
@@ -131,7 +131,7 @@ def fit_in_turn(
 
 
 def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
-    """Add springs and couplings to the fit while further terms improve the prediction."""
+    """Add springs and couplings as long as the prediction improves."""
     while (better := with_extra(data.regression, data.moving, fit)) is not None:
         fit = fit_in_turn(data, better, fit.prior.weights, 2)
     return fit
@@ -165,7 +165,7 @@ def _loss(data: TrainingData, fit: RobotFit, weights: Floats) -> float:
 
 
 def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit]:
-    """Fit gains together with all other unknowns, in first-order steps."""
+    """Fit the gains together with all other unknowns."""
     known, used = data.correction.is_gain_known, fit.used
     with_gains = used.copy()
     with_gains[:, GAIN] = known
@@ -181,7 +181,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return the common factor that restores the mean of the gains, or 1 if a mass is known."""
+    """Return the factor that keeps the geometric mean of the gains, or 1 if a mass is known."""
     problem, known = data.problem, data.correction.is_gain_known
     fixed = problem.identified.fixed_robot()
     if problem.payload is not None or fixed.mass[1:].any() or not known.any():
@@ -190,9 +190,9 @@ def _common_factor(data: TrainingData, change: Floats) -> float:
 
 
 def fit_with_widths(data: TrainingData, fit: RobotFit, urdf_weight: float) -> RobotFit:
-    """Fit again with the chosen weight of the robot description, including friction widths."""
+    """Fit all unknowns, including friction widths and couplings."""
     fit = fit_in_turn(data, fit, np.full(len(fit.model.bodies), urdf_weight), 2)
-    # Friction widths and couplings are fitted with all other unknowns, in first-order steps.
+    # The efforts are not linear in widths and couplings, so the fit takes several steps.
     used = fit.used.copy()
     used[:, WIDTH] = data.moving
     used[:, RATIO] = fit.model.couplings != 0.0

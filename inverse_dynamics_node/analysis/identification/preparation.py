@@ -1,4 +1,8 @@
-"""Converts recordings to uniform motions of the whole robot, and to rows of a regression."""
+"""
+Converts recordings to motions of the whole robot, and to rows of a regression.
+
+The friction width is the speed over which Coulomb friction is smoothed.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +20,13 @@ from .drives import EffortCorrection, widths_to_try
 from .regression import IdentificationProblem, Regression
 
 HIGHEST_RATE = 250.0
-"""Highest sampling rate that is kept [Hz]; smoothed motions contain no faster changes."""
+"""Highest sampling rate of prepared recordings [Hz]; smoothed signals do not need more."""
 STRETCHES = (1.0, 1.5, 2.0)
 """
 Factors of the smoothing window to try.
 
-Twice the shortest window is 0.3 s, or 0.2 s with recorded velocities. With encoder noise of 5e-4
-rad at 125 Hz, this window reduced the error of the model by a sixth. A window twice as long
-reduced the error by less than another hundredth.
+With encoder noise of 5e-4 rad at 125 Hz, a factor of 2 reduced the model error by a sixth. A
+factor of 4 reduced the model error by less than another hundredth.
 """
 CLEAN = 0.05
 """Acceptable noise of accelerations, as a fraction of the RMS acceleration."""
@@ -33,26 +36,25 @@ SMOOTHING_RANGE = (0.1, 0.4)
 """
 Shortest and longest smoothing window of the fit [s].
 
-For an industrial arm, all windows from 0.1 to 0.4 s led to the same errors on unseen data, within
-one percent. A window of 0.6 s increased the errors by 3 %, and a window of 0.8 s by 8 %.
+For an industrial arm, all windows in this range led to the same errors on unseen data, within 1 %.
+A window of 0.6 s increased the errors by 3 %, and a window of 0.8 s by 8 %.
 """
 NOISES_IN_WIDTH = 3.0
 """
-Least width of Coulomb friction in the node, in standard deviations of the velocity noise.
+Least friction width in the node, in standard deviations of the velocity noise.
 
-With this width, the commanded friction of a joint at rest varies by a third of the Coulomb
-friction.
+With this width, the noise at rest changes the commanded friction by a third of Coulomb friction.
 """
 BLOCKS = 8
 LEAST_DURATION = 3.0
-"""Least duration of the smoothed recordings for an identification [s]."""
+"""Least total duration of the smoothed recordings [s]."""
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
-"""Least travel of a joint in each direction to fit friction: revolute [rad], prismatic [m]."""
+"""Least travel in each direction for revolute joints [rad] and prismatic joints [m]."""
 LEAST_RETURN = 0.1
 """Least travel of a joint in each direction, as a fraction of the total travel."""
 GOOD_RECORDINGS = (
-    'record slow and fast motion of all joints at the same time for 30 s or more; '
-    '`inverse_dynamics excite` plans such a motion'
+    'record slow and fast motion of all joints for at least 30 s; `inverse_dynamics excite` plans '
+    'such a motion'
 )
 
 
@@ -60,17 +62,22 @@ class PreparedRecording(NamedTuple):
     """One recording, prepared for the regression."""
 
     motion: Motion
-    """Motion of the whole robot, with the efforts of the measured joints only."""
+    """Motion of the whole robot, with efforts of the measured joints."""
     noise: Floats
     """Noise that remains in the smoothed efforts, shape (joints,) [N m or N]."""
     qd_noise: Floats
     """Noise of the recorded velocities, shape (joints,) [rad/s or m/s]."""
     derived: Motion
-    """Motion of the recorded joints, with observations about their signals."""
+    """Motion of the recorded joints, with notes about the signals."""
 
 
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
-    """Return joints whose efforts vary in all recordings; raise RecordingError if none exists."""
+    """
+    Return the joints with varying efforts in all recordings.
+
+    Raises RecordingError if there are no such joints.
+
+    """
     common = set(range(len(robot.joint_names)))
     for recording in recordings:
         found = set()
@@ -81,7 +88,7 @@ def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[
                 found.add(robot.joint_names.index(name))
         common &= found
     if not common:
-        raise RecordingError('no joint of this robot has a measured effort that varies')
+        raise RecordingError('no joint of this robot has a varying effort in all recordings')
     return sorted(common)
 
 
@@ -92,12 +99,12 @@ def prepare_all(
     stretch: float | None = None,
 ) -> tuple[list[PreparedRecording], float]:
     """
-    Smooth all recordings with the same window, which is as long as the noise requires.
+    Smooth all recordings with the same window.
 
-    Efforts of `joints` are used. Joints that were not recorded are assumed to rest at zero.
-    `stretch` multiplies the shortest smoothing window. If `stretch` is None, the noise of the
-    recordings determines the factor. Returns the prepared recordings and the factor. Raises
-    RecordingError if a recording is too short, or if one of the joints has no measured effort.
+    The result contains the efforts of `joints`. Joints without recorded positions stay at zero.
+    `stretch` multiplies the shortest smoothing window. If `stretch` is None, the noise determines
+    the factor. Returns the prepared recordings and the factor. Raises RecordingError if a
+    recording is too short, or if one of the joints has no measured effort.
 
     """
     turned = [without_turns(robot, each) for each in recordings]
@@ -108,7 +115,7 @@ def prepare_all(
 
 
 def without_noisy_velocities(recording: Recording) -> Recording:
-    """Remove the velocities of each joint whose positions give less noisy accelerations."""
+    """Remove the velocities of joints whose positions lead to less noisy accelerations."""
     if recording.velocities is None:
         return recording
     measured = derive(recording)
@@ -121,12 +128,12 @@ def without_noisy_velocities(recording: Recording) -> Recording:
 
 
 def _stretch(recording: Recording) -> float:
-    """Return the factor by which to stretch the smoothing window for less acceleration noise."""
+    """Return the factor of the smoothing window that the acceleration noise requires."""
     chosen = STRETCHES[0]
     for stretch in STRETCHES:
         try:
             motion = derive(recording, stretch)
-        except RecordingError:  # too short for longer windows
+        except RecordingError:  # the recording is too short for a longer window
             if stretch == STRETCHES[0]:
                 raise
             break
@@ -136,7 +143,7 @@ def _stretch(recording: Recording) -> float:
         changes = rms(motion.qd[:, moves]) / np.maximum(rms(motion.qdd[:, moves]), 1e-9)
         seconds = motion.window * motion.period
         if stretch > STRETCHES[0] and seconds > float(np.median(changes)):
-            break  # the motion itself would be smoothed away
+            break  # the window would remove the motion
         chosen = stretch
         if not (_relative_noise(motion)[moves] > CLEAN).any():
             break
@@ -155,7 +162,7 @@ def _prepare(
     joints: Sequence[int],
     stretch: float,
 ) -> PreparedRecording:
-    """Return the motion of the whole robot; joints that were not recorded rest at zero."""
+    """Prepare one recording; joints without recorded positions stay at zero."""
     derived = derive(quiet, stretch)
     noise = derived.qd_noise if quiet is recording else derive(recording).qd_noise
     step = max(1, int(1.0 / (derived.period * HIGHEST_RATE) + 1e-9))
@@ -184,8 +191,8 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
         raise RecordingError(
-            f'a recording for the evaluation only has efforts of {", ".join(measured)}; unlike '
-            f'the recordings to fit, it has no efforts of {", ".join(missing)}'
+            f'a validation recording has no efforts of {", ".join(missing)}, expected the same '
+            f'joints as in the fitted recordings; it has efforts of {", ".join(measured)}'
         )
     return [derived.joint_names.index(name) for name in names]
 
@@ -204,9 +211,9 @@ class TrainingData:
     moving: Booleans
     """Whether each joint moved enough to identify its friction, shape (joints,)."""
     widths: Floats
-    """Widths of Coulomb friction to try, shape (widths, joints) [rad/s or m/s]."""
+    """Friction widths to try, shape (widths, joints) [rad/s or m/s]."""
     least_widths: Floats
-    """Least widths in the node, due to velocity noise, shape (joints,) [rad/s or m/s]."""
+    """Least friction widths in the node, shape (joints,) [rad/s or m/s]."""
     correction: EffortCorrection
     regression: Regression
     """The smoothed rows with corrected efforts."""
@@ -225,7 +232,7 @@ class TrainingData:
 def training_data(
     problem: IdentificationProblem, runs: Sequence[PreparedRecording]
 ) -> TrainingData:
-    """Collect the rows of the recordings; raise RecordingError if the recordings are too short."""
+    """Build the regression; raise RecordingError if the recordings are too short."""
     motions = [run.motion for run in runs]
     moving = _moving_joints(problem, motions)
     duration = sum(float(np.ptp(motion.times)) for motion in motions)
@@ -233,7 +240,7 @@ def training_data(
     regression = Regression(problem, motions, seconds, BLOCKS)
     if duration < LEAST_DURATION or not len(regression.efforts):
         raise RecordingError(
-            f'after smoothing, the recordings last {duration:.2g} s, expected at least '
+            f'the smoothed recordings last {duration:.2g} s, expected at least '
             f'{LEAST_DURATION:g} s without gaps; {GOOD_RECORDINGS}'
         )
     m = len(problem.joints)
@@ -252,7 +259,7 @@ def training_data(
 def _smoothing_window(
     problem: IdentificationProblem, motions: Sequence[Motion], moving: Booleans, duration: float
 ) -> float:
-    """Choose a window that hardly changes the motion; fast motions need a short window."""
+    """Return the smoothing window of the fit [s]; fast motions need a short window."""
     ratios = []
     for motion in motions:
         for joint, moves in zip(problem.joints, moving, strict=True):

@@ -1,4 +1,10 @@
-"""Defines the bodies and joints to identify, and the columns of their regression."""
+"""
+Defines the bodies and joints to identify, and their regression.
+
+Joint terms are the effects of a drive, such as friction and armature. The friction width is the
+speed over which Coulomb friction is smoothed. The coupling of a drive is the rotation of the drive
+per rotation of the preceding joint. The gain of a joint is the effort per unit of current.
+"""
 
 from __future__ import annotations
 
@@ -30,15 +36,15 @@ ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
 EXPORTED = 7
 """Number of joint terms that the node can apply."""
 WIDTH = 7
-"""Index of the column for a small change of the width of Coulomb friction."""
+"""Index of the column for a small change of the friction width."""
 RATIO = 8
-"""Index of the column for a small change of the drive coupling."""
+"""Index of the column for a small change of the coupling."""
 GAIN = 9
-"""Index of the column for a small change of the current gain."""
+"""Index of the column for a small change of the gain."""
 TERMS = 10
-"""Number of columns for each joint, in addition to the columns of the bodies."""
+"""Number of terms of each joint."""
 OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
-"""Terms that depend on the motion of the drive, which may also turn with the preceding joint."""
+"""Terms of a coupled drive that also act on the preceding joint."""
 SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
 """Whether each term may have a negative factor."""
 FIXED_RATIO = 0.995
@@ -48,27 +54,27 @@ FIXED_RATIO = 0.995
 @dataclass(frozen=True, eq=False)
 class IdentifiedBodies:
     """
-    The bodies to identify: moving bodies with mass, except links that must not change.
+    The bodies to identify.
 
-    Links that are connected by fixed joints form one body. Recordings cannot distinguish the links
-    of a body, so all links of the body that may change are identified together.
+    Links that are connected by fixed joints form one body. Recordings cannot distinguish these
+    links, so the links of a body are identified together.
 
     """
 
     robot: RobotModel
     bodies: tuple[int, ...]
-    """Indices of the identified bodies in the robot."""
+    """Indices of the identified bodies in the robot model."""
     links: tuple[tuple[int, ...], ...]
-    """For each identified body, the links that have mass and may change."""
+    """Links of each body that have mass and may change."""
     names: tuple[str, ...]
-    """Name of each body, which is the name of its first link in `links`."""
+    """Names of the bodies, taken from the first link of each body."""
     before: Floats
     """Parameters in the robot description, relative to the body frames, shape (bodies, 10)."""
     reference: Floats
-    """The same parameters, changed so that each body extends in all directions."""
+    """The same parameters, after flat bodies were given a small thickness."""
 
     def fixed_robot(self) -> RobotModel:
-        """Return the robot with massless identified links; the other links are unchanged."""
+        """Return the robot without the masses of the identified links."""
         return self.robot_with(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
@@ -86,10 +92,10 @@ class IdentifiedBodies:
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
-        Distribute the parameters of physical bodies, shape (bodies, 10), to the links.
+        Return the inertial of each link in the link frame.
 
-        Returns the inertial of each link in the link frame. All links of a body are changed by one
-        linear map of space and density, so each link remains physical.
+        `parameters` contains physical bodies, shape (bodies, 10). All links of a body change by
+        the same linear map of space and density, so each link stays physical.
 
         """
         inertials = {}
@@ -99,7 +105,7 @@ class IdentifiedBodies:
             if len(parts) == 1:
                 changed = [after]
             else:
-                # The change from `before` to `reference` is added to the first link of the body.
+                # The first link receives the change from `before` to `reference`.
                 parts[0] = parts[0] + pseudo_inertias(self.reference[k] - self.before[k])
                 change = transport(pseudo_inertias(self.reference[k]), after)
                 changed = [change @ part @ change.T for part in parts]
@@ -154,8 +160,8 @@ class IdentificationProblem:
     A robot with gravity and payload, and the bodies and joints to identify.
 
     `joints` are the joints with measured efforts. `gravity` is the free-fall acceleration in the
-    base frame [m/s^2]. `payload` is the link, mass and centre of mass of a known payload.
-    `currents` is true if motor currents were recorded instead of efforts.
+    base frame [m/s^2]. `payload` contains the link, mass [kg] and centre of mass [m] of a known
+    payload. `currents` is true if motor currents were recorded instead of efforts.
 
     """
 
@@ -191,7 +197,7 @@ class IdentificationProblem:
         return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
 
     def at_random_states(self) -> Floats:
-        """Return columns of the identified bodies at random states, ten columns per body."""
+        """Return scaled columns at random states, shape (rows, 10 per body)."""
         robot = self.identified.robot
         rng, n = np.random.default_rng(0), len(robot.joint_names)
         states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
@@ -204,13 +210,13 @@ class IdentificationProblem:
 
 
 def _joints_before(robot: RobotModel, joints: Sequence[int]) -> Integers:
-    """For each joint in a list, return the list index of the preceding joint, or -1."""
+    """Return the list index of each joint's preceding joint, or -1."""
     before = joints_before(robot)[list(joints)]
     return np.array([list(joints).index(k) if k in joints else -1 for k in before.tolist()])
 
 
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
-    """Return the bodies that a joint moves, as indices in the list of bodies."""
+    """Return the list indices of the bodies that a joint moves."""
     moved = np.zeros(len(robot.parent), dtype=bool)
     for body in range(1, len(moved)):
         moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
@@ -227,14 +233,14 @@ class Model:
     bodies: Floats
     """Inertial parameters of the identified bodies, shape (bodies, 10)."""
     joints: Floats
-    """Factors of the columns of `Regression.terms`, from armature to gain, shape (joints, 10)."""
+    """Factors of the columns of `Regression.terms`, shape (joints, 10)."""
     widths: Floats
-    """Speeds over which Coulomb friction is smoothed, shape (joints,) [rad/s or m/s]."""
+    """Friction widths, shape (joints,) [rad/s or m/s]."""
     couplings: Floats
-    """Rotation of each drive per rotation of the preceding joint, shape (joints,)."""
+    """Couplings of the drives, shape (joints,)."""
 
     def with_fitted_shapes(self) -> Model:
-        """Return the model with bounded fitted changes applied to the widths and couplings."""
+        """Apply the fitted changes of widths and couplings, within bounds."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         most = 0.5 * np.abs(self.couplings)
@@ -243,20 +249,20 @@ class Model:
         return Model(self.bodies, joints, self.widths + change, couplings)
 
     def scaled(self, factor: float) -> Model:
-        """Return the model with all efforts multiplied by a factor, and without gain changes."""
+        """Return the model for efforts multiplied by a factor, without gain changes."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
         joints[:, GAIN] = 0.0
         return replace(self, bodies=factor * self.bodies, joints=joints)
 
     def exported(self, least_widths: Floats) -> Model:
-        """Return the model that the node applies; terms that the node does not know are zero."""
+        """Return the model with only the terms that the node can apply."""
         joints = self.joints.copy()
         joints[:, EXPORTED:] = 0.0
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
     def springs(self, q: Floats) -> Floats:
-        """Return the efforts of springs including the spring offsets, shape (samples, joints)."""
+        """Return the efforts of springs and their offsets, shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
         return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
@@ -265,10 +271,10 @@ class Regression:
     """
     Smoothed rows of several motions.
 
-    `seconds` is the length of the smoothing window, and `block_count` the approximate number of
-    contiguous blocks. `efforts` are the measured efforts; `qdd`, `qd` and `q` are the columns of
-    armature, damping and springs. All four have the shape (rows, joints). `block` contains the
-    number of each row's block, or -1 for rows at the borders of blocks.
+    `seconds` is the length of the smoothing window. `block_count` is the approximate number of
+    blocks. `efforts` contains the measured efforts. `q`, `qd` and `qdd` contain the positions,
+    velocities and accelerations. All four have the shape (rows, joints). `block` contains the
+    block index of each row, or -1 for rows between blocks.
 
     """
 
@@ -301,19 +307,19 @@ class Regression:
 
     @cached_property
     def known(self) -> Floats:
-        """Efforts of links that are not identified, shape (rows, joints)."""
+        """Efforts of the payload and of links that are not identified, shape (rows, joints)."""
         fixed = self.problem.identified.fixed_robot()
         return self._smooth([self.problem.efforts(fixed, motion) for motion in self.motions])
 
     def rigid(self, bodies: Floats) -> Floats:
-        """Return the efforts of a robot with the given bodies, shape (rows, joints)."""
+        """Return efforts of a robot with the given bodies, shape (rows, joints)."""
         if 'bodies' in self.__dict__:
             return np.asarray(self.known + self.bodies @ bodies.ravel())
         robot = self.problem.identified.robot_with(bodies)
         return self._smooth([self.problem.efforts(robot, motion) for motion in self.motions])
 
     def direction(self, widths: Floats) -> Floats:
-        """Return the directions of Coulomb friction, shape (rows, joints)."""
+        """Return the smoothed directions of motion, shape (rows, joints)."""
         joints = self.problem.joints
         return self._smooth_discontinuous(
             [direction_of(m.qd[:, joints], widths) for m in self.motions]
@@ -323,8 +329,8 @@ class Regression:
         """
         Return the columns of the joint terms, shape (rows, joints, 10).
 
-        The columns depend on the widths and couplings of the model, and on the efforts that load
-        the gears. The columns for changes of width and coupling also depend on the present terms.
+        The columns depend on the widths, the couplings and the gear loads of the model. The
+        columns for small changes also depend on the joint terms of the model.
 
         """
         robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
@@ -361,11 +367,11 @@ class Regression:
 
     def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
         """
-        Return the columns of the joint terms for each joint on which the terms act.
+        Return the columns of the joint terms for each affected joint.
 
-        The terms of a joint act on the joint itself. The terms of a coupled drive also act on the
-        preceding joint. Each tuple contains the joint on which the terms act, the joint that owns
-        the terms, and the columns, shape (rows, 10).
+        The terms of a joint affect the joint itself. The terms of a coupled drive also affect the
+        preceding joint. Each tuple contains the affected joint, the owner of the terms, and the
+        columns, shape (rows, 10).
 
         """
         terms = self.terms(model)
@@ -387,7 +393,7 @@ class Regression:
 
     @cached_property
     def together(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of joints that always moved in a fixed ratio, as indices in the joint list."""
+        """Groups of joints that moved in a fixed ratio, as indices in the joint list."""
         spread = self.qd.std(axis=0)
         moved = np.flatnonzero(spread > 1e-6 * spread.max())
         if len(moved) < 2:
@@ -416,7 +422,7 @@ class Regression:
         return np.concatenate([smooth.discontinuous(values) for smooth, values in pairs])
 
     def _blocks(self, count: int) -> Integers:
-        """Return the block of each row, or -1 at borders; blocks have similar durations."""
+        """Return the block of each row, or -1 between blocks; blocks have similar durations."""
         durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in self.motions]
         numbers: list[Integers] = []
         first = 0

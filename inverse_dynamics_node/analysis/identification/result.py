@@ -1,4 +1,4 @@
-"""Holds the result of an identification, and exports a URDF and parameters of the node."""
+"""Holds the result of an identification, and exports a URDF and node parameters."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Residuals:
     friction: float
     """Residual of the robot description with fitted friction and offsets."""
     identified: float
-    """Residual of the model with identified bodies and joints."""
+    """Residual of the identified model."""
 
 
 @dataclass(frozen=True)
 class DriveTerms:
-    """Identified terms of one joint, and their standard errors."""
+    """Identified terms of one joint, with standard errors."""
 
     damping: float = 0.0
     """Damping [N m s/rad or N s/m]."""
@@ -47,7 +47,7 @@ class DriveTerms:
     rest: float = 0.0
     """Position at which the spring exerts no effort [rad or m]."""
     offset: float = 0.0
-    """Offset of the effort [N m or N]; 0 for a joint with a spring, which contains the offset."""
+    """Offset of the effort [N m or N]; 0 with a spring, because `rest` contains the offset."""
     errors: dict[str, float] = field(default_factory=dict)
     """Standard errors of the identified terms, by name."""
 
@@ -65,11 +65,11 @@ class JointResult:
     noise: float
     """Noise in the smoothed effort [N m or N]."""
     unsmoothed: float
-    """RMS residual of the identified model on unseen data, without smoothing [N m or N]."""
+    """Residual of the identified model on unseen data without smoothing [N m or N]."""
     terms: DriveTerms
-    """Terms of the identified model, or of friction alone if the model was not accepted."""
+    """Identified terms, or the terms of friction alone if the model was not accepted."""
     unknown_because: str
-    """Why the friction of the joint could not be identified; empty if it was identified."""
+    """Reason why the friction is unknown; empty if the friction is known."""
     coupled_with: tuple[str, ...]
     """Joints that share a drive with this joint."""
     gain: float | None = None
@@ -83,10 +83,10 @@ class JointResult:
 
 @dataclass(frozen=True, eq=False)
 class BodyResult:
-    """Identification result of one body: a link, or several links connected by fixed joints."""
+    """Identification result of one link, or of several links connected by fixed joints."""
 
     link: str
-    """First of the `links`."""
+    """First link in `links`."""
     links: tuple[str, ...]
     """Identified links of the body."""
     mass_before: float
@@ -94,19 +94,19 @@ class BodyResult:
     mass: float
     mass_error: float
     com_before: Floats
-    """Centre of mass in the robot description, in the frame of the joint, shape (3,) [m]."""
+    """Centre of mass in the robot description, relative to the joint frame, shape (3,) [m]."""
     com: Floats
     com_error: Floats
     data_fraction: float
-    """How much of the information about the mass comes from the recordings, as a fraction."""
+    """Fraction of the information about the mass that comes from the recordings."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """Measured and predicted efforts on data that were not used to fit the models."""
+    """Measured and predicted efforts, usually of data that were not used for the fit."""
 
     times: Floats
-    """Times of the samples in successive recordings, shape (samples,) [s]."""
+    """Times of the samples, with one recording after the other, shape (samples,) [s]."""
     measured: Floats
     urdf: Floats
     friction: Floats
@@ -125,38 +125,39 @@ class IdentificationResult:
     robot: RobotModel
     """The robot description."""
     calibrated: RobotModel
-    """Robot with the identified bodies, or the robot description if the model was not accepted."""
+    """Robot with the identified bodies; equal to `robot` if the model was not accepted."""
     accepted: bool
-    """Whether the identified model predicts unseen data better than fitted friction alone."""
+    """Whether the identified model predicts unseen data well enough."""
     verdict: str
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
     fixed: tuple[str, ...]
-    """Moving links that have mass and were not identified."""
+    """Moving links with mass that were not identified."""
     inertials: dict[str, RigidBody]
-    """New inertial of each changed link, in its frame; empty if the model was not accepted."""
+    """New inertials in the link frames, by link; empty if the model was not accepted."""
     unseen: Unseen
     urdf_weight: float
     """Weight of the robot description in the fit."""
     trials: dict[float, float]
-    """Loss on unseen blocks for each tried weight of the robot description."""
+    """Loss on left-out blocks for each tried weight of the robot description."""
     delay: float
-    """Delay of the measured efforts [s], of which the fit removed `delay_removed`."""
+    """Delay of the measured efforts [s]."""
     delay_error: float
     delay_removed: float
+    """Delay that was removed for the fit [s]."""
     smoothing: float
-    """Length of the smoothing window for efforts and columns in the fit [s]."""
+    """Length of the smoothing window in the fit [s]."""
     sample_count: int
     duration: float
     """Duration of the recordings [s]."""
     signals: tuple[Motion, ...]
-    """The smoothed recordings, with observations about their signals."""
+    """The smoothed recordings, with notes about the signals."""
     base_parameters: tuple[tuple[str, float, float], ...]
     """
     Name, value and standard error of each base parameter.
 
-    A base parameter combines several inertial parameters, and is named after one of them. All
-    inertial parameters are relative to the joint frame.
+    A base parameter is a combination of inertial parameters in joint frames. The name is that of
+    the leading inertial parameter.
     """
     warnings: tuple[tuple[str, str], ...]
     """Warnings, each with a hint."""
@@ -168,8 +169,8 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
     """
     Return the robot description with identified inertials and friction.
 
-    `path_or_xml` is the original robot description. Only the numbers of inertials and of friction
-    are changed. If the model was not accepted, only friction is changed.
+    `path_or_xml` is the original robot description. Only numbers of inertials and friction change.
+    If the model was not accepted, only friction changes.
 
     """
     robot = result.robot
@@ -188,9 +189,9 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
 
 
 _TITLE = (
-    'Identified from recordings: damping [N m s/rad, N s/m], Coulomb friction [N m, N] and',
-    'the speed over which it is smoothed [rad/s, m/s], Coulomb friction per load, armature',
-    '[kg m^2, kg] and offsets of the efforts [N m, N].',
+    'Identified from recordings. Units for revolute joints (prismatic joints):',
+    'damping N m s/rad (N s/m), coulomb N m (N), coulomb_width rad/s (m/s),',
+    'armature kg m^2 (kg), effort_offset N m (N).',
 )
 _EXTRAS = {
     'sqrt_damping': 'sqrt_damping',
@@ -198,11 +199,11 @@ _EXTRAS = {
     'spring_stiffness': 'stiffness',
     'spring_rest': 'rest',
 }
-"""Node parameters that are written only if a joint needs them, with the names of the terms."""
+"""Terms of the node parameters that are written only if a joint needs the parameter."""
 
 
 def identified_parameters(result: IdentificationResult) -> str:
-    """Return friction, armature, springs and offsets as node parameters in YAML."""
+    """Return the identified joint terms as node parameters in YAML."""
     joints = result.joints
 
     def known(name: str, unknown: float) -> list[float]:

@@ -1,1 +1,1 @@
-"""Reads recordings from files, and resamples, smooths and differentiates them."""
+"""Reads, smooths, differentiates and resamples recordings."""

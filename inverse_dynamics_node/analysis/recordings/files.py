@@ -31,7 +31,7 @@ class Bag:
         self._reader = reader
 
     def find_topic(self, name: str) -> str | None:
-        """Return the full name of a topic, or None; leading and trailing slashes are optional."""
+        """Return the full name of a topic, or None. Leading and trailing slashes are optional."""
         matches = (topic for topic in self.types if topic.strip('/') == name.strip('/'))
         return next(matches, None)
 
@@ -45,8 +45,8 @@ class Bag:
         """
         Yield the recording time [ns] and the content of each message of a topic, in order.
 
-        `topic` is the full name of the topic. `progress` is called regularly with the fraction
-        read so far, 0 to 1. Raise RecordingError if the recording is damaged.
+        `topic` is a full name. `progress` is called regularly with the fraction read so far, 0 to
+        1. Raise RecordingError if the recording is damaged.
         """
         count = max(1, self.message_count(topic))
         connections = self._connections(topic)
@@ -61,16 +61,16 @@ class Bag:
         progress(1.0)
 
     def _connections(self, topic: str) -> list[Any]:
-        """List the connections of a topic: one for each publisher."""
+        """List the connections of a topic, one for each publisher."""
         return [c for c in self._reader.connections if c.topic == topic]
 
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """
-    Open a rosbag2 folder with a metadata.yaml, or one .mcap or .db3 file, without ROS.
+    Open a rosbag2 folder, or an .mcap or .db3 file, without ROS.
 
-    Raise RecordingError if the file does not exist or cannot be read.
+    Raise RecordingError if the file cannot be read, or if the folder has no metadata.yaml.
     """
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import get_typestore, Stores
@@ -118,10 +118,10 @@ def read_csv(
     """
     Read a CSV file with a column `time` and columns `<joint>.<quantity>`.
 
-    A column `<joint>` contains the first of the quantities, such as 'position'. The file may also
-    contain columns of joints that the robot does not have. With `allow_empty`, empty cells are
-    read as NaN. Raise RecordingError if the column `time` is missing or if a cell is not a number.
-    Raise OSError if the file cannot be opened.
+    A column `<joint>` contains the first of the quantities, such as 'position'. Columns of other
+    joints are permitted. With `allow_empty`, empty cells become NaN. Raise RecordingError if the
+    column `time` is missing or if a cell is not a number. Raise OSError if the file cannot be
+    opened.
     """
     try:
         with path.open(newline='', encoding='utf-8-sig') as file:
@@ -165,7 +165,7 @@ def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -
             f'{where} has {len(row)} values, but the header has {len(header)} columns'
         )
     try:
-        return list(map(float, row))  # fast, and nearly always successful
+        return list(map(float, row))  # fast, and nearly always sufficient
     except ValueError:
         numbers = []
     for cell, name in zip(row, header, strict=True):
@@ -179,7 +179,7 @@ def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -
 def _missing_time(
     header: Sequence[str], joint_names: Sequence[str], quantities: Sequence[str]
 ) -> str:
-    """Describe the expected columns and the columns that were found."""
+    """Describe the expected columns and the actual columns."""
     problem, found = "has no column 'time'", list(header)
     separator = next((mark for mark in ';\t' if len(header) == 1 and mark in header[0]), None)
     if separator:

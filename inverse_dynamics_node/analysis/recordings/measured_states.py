@@ -16,7 +16,7 @@ from .signals import Recording
 
 _QUANTITIES = ('position', 'velocity', 'effort')
 _FIRST_MESSAGES = 100
-"""Number of messages at the start of each topic in which efforts are searched."""
+"""Number of messages at the start of a topic that are searched for efforts."""
 
 
 def read_measured_states(
@@ -27,15 +27,15 @@ def read_measured_states(
     mimic_names: Sequence[str] = (),
 ) -> tuple[Recording, tuple[str, ...]]:
     """
-    Read the joint states of a robot from a rosbag2 folder, or an .mcap, .db3 or .csv file.
+    Read joint states from a rosbag2 folder, or from an .mcap, .db3 or .csv file.
 
     `topic` has the type sensor_msgs/msg/JointState; the default is the only topic with efforts.
     `progress` is called regularly with the fraction read so far, 0 to 1. `mimic_names` are joints
     of the robot that mimic other joints.
 
-    Return the recording, and notes about ignored and missing data. The recorded joints are in the
-    order of ``joint_names``, and the times start at zero. Joints that the robot does not have are
-    ignored. Raise RecordingError if the recording is unreadable or has no effort of the robot.
+    Return the recording, and notes about ignored and missing data. The joints have the order of
+    `joint_names`, and the times start at zero. Joints that the robot does not have are ignored.
+    Raise RecordingError if the recording is unreadable or contains no effort of the robot.
     """
     if not path.exists():
         raise RecordingError(f'{path}: no such file or folder, expected a recording')
@@ -99,7 +99,7 @@ def _only_topic_with_efforts(bag: Bag, topics: list[str]) -> str:
             useful.append(topic)
     if len(useful) == 1:
         return useful[0]
-    found = f'{", ".join(useful)} have efforts' if useful else 'none of them has efforts'
+    found = f'{", ".join(useful)} have efforts' if useful else 'no topic has efforts'
     raise RecordingError(
         f'{bag.path}: has several topics of type {JOINT_STATE}, {", ".join(topics)}; {found}; '
         'choose one with --topic'
@@ -112,7 +112,7 @@ def _from_messages(
     joint_names: Sequence[str],
     mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
-    """Convert messages to a recording; each message may contain any joints in any order."""
+    """Convert messages to a recording. A message may contain any joints in any order."""
     index = {name: j for j, name in enumerate(joint_names)}
     layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
     stamps: list[tuple[int, int]] = []
@@ -150,7 +150,7 @@ def _from_messages(
     stamped_and_received = np.array(stamps)
     is_stamped = bool(stamped_and_received[:, 0].any())
     nanoseconds = stamped_and_received[:, 0 if is_stamped else 1]
-    # Subtract integers, because seconds since 1970, as a float, are only exact to 0.2 us.
+    # Subtract integers, because a float of seconds since 1970 is only exact to 0.2 us.
     times = 1e-9 * (nanoseconds - nanoseconds[0])
     recording, notes = _recording(where, times, np.array(rows), joint_names, recorded, mimic_names)
     if not is_stamped:
@@ -166,7 +166,7 @@ def _recording(
     recorded: Iterable[str],
     mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
-    """Select the recorded joints of the robot; describe all other joints in notes."""
+    """Select the recorded joints of the robot, and describe all other joints in notes."""
     recorded = list(recorded)
     known = [j for j, name in enumerate(joint_names) if name in recorded]
     if not known:

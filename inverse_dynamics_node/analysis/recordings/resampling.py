@@ -1,8 +1,8 @@
 """
 Smooths the signals of a motion and reduces their sampling rate.
 
-Columns that are fitted to smoothed efforts must be smoothed in the same way; otherwise the fit is
-biased. The smoothing has no delay, and does not reach across gaps.
+Regressor columns must be smoothed in the same way as the measured efforts, because the fit would
+otherwise be biased. The smoothing has no delay and does not reach across gaps.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from .signals import Motion
 DEGREE = 3
 """Degree of the smoothing polynomials."""
 ROWS_PER_WINDOW = 8
-"""Number of rows per smoothing window; more rows would add no information."""
+"""Number of rows per smoothing window. More rows would add no information."""
 
 
 class Resampler(NamedTuple):
     """Smooths the K samples of one motion, and reduces them to R rows."""
 
     of_smooth: Any
-    """Sparse matrix for signals that were already smoothed with the motion, shape (R, K)."""
+    """Sparse matrix for signals that are already smooth, shape (R, K)."""
     of_discontinuous: Any
-    """Sparse matrix for unsmoothed signals, such as directions of Coulomb friction."""
+    """Sparse matrix for all other signals, such as Coulomb friction, shape (R, K)."""
     times: Floats
     """Times of the rows, shape (R,) [s]."""
     seconds: float
     """Length of the smoothing window [s]."""
 
     def __call__(self, values: Floats) -> Floats:
-        """Smooth signals of shape (K, ...) to rows of shape (R, ...)."""
+        """Convert smooth signals of shape (K, ...) to rows of shape (R, ...)."""
         return _apply(self.of_smooth, values)
 
     def discontinuous(self, values: Floats) -> Floats:
-        """Smooth signals that were not smoothed with the motion."""
+        """Convert discontinuous signals of shape (K, ...) to rows of shape (R, ...)."""
         return _apply(self.of_discontinuous, values)
 
 
 def resampler(motion: Motion, seconds: float) -> Resampler:
-    """Return the resampler of a motion; a window of 0 s leaves signals unchanged."""
+    """Return the resampler of a motion. A window of 0 s leaves signals unchanged."""
     from scipy.signal import savgol_coeffs
 
     half = max(round(0.5 * seconds / motion.period), 0)
@@ -68,7 +68,7 @@ def resampler(motion: Motion, seconds: float) -> Resampler:
 
 
 def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
-    """Smooth signals of shape (K, c) in the same way as the measured efforts of a motion."""
+    """Smooth signals of shape (K, c) in the same way as the measured efforts."""
     from scipy.signal import savgol_filter
 
     parts = [
@@ -81,7 +81,7 @@ def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
 
 
 def pieces(times: Floats) -> list[tuple[int, int]]:
-    """Return the start and end indices of all pieces without gaps."""
+    """Return the start and end indices of the pieces between gaps."""
     steps = np.diff(times)
     breaks = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
     return list(zip([0, *breaks], [*breaks, len(times)], strict=True))

@@ -1,12 +1,12 @@
 """
 Converts a recording to a motion with uniform times, smoothed signals and derived accelerations.
 
-A Savitzky-Golay filter fits a polynomial to a window of samples around each time. The value and
-the derivatives of the polynomial are the smoothed signal and its rates. The filter has no delay.
-Measured efforts are smoothed over the same window, to remain comparable with modelled efforts.
+A Savitzky-Golay filter fits a polynomial to a window of samples around each time. The polynomial
+determines the smoothed signal and its derivatives. The filter has no delay. Measured efforts are
+smoothed over the same window, so that measured and modelled efforts remain comparable.
 
-The noise of the signals, the lag of recorded velocities, and filters that were applied before the
-recording are estimated from the signals themselves.
+The module also estimates the noise of the signals and the lag of recorded velocities. The spectrum
+of the efforts shows whether a filter acted before the recording.
 """
 
 from __future__ import annotations
@@ -23,29 +23,30 @@ from ...robot.model import Floats, Integers, RobotModel
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
 """
-Window [s] and degree of the polynomial, for one and two differentiations. At 3 Hz, the filters
-attenuate accelerations by 0.2 % and 0.5 %. Two differentiations of encoder noise of 1e-4 rad at
-500 Hz lead to acceleration noise of 0.05 rad/s^2.
-"""
-MIN_SLACK = 4  # window samples beyond the degree; with fewer, nothing is smoothed
-MIN_RATE = 20.0  # [Hz]; accelerations cannot be derived from slower recordings
-GAP = 5.0  # periods without a sample; signals are not interpolated across a gap
-DUPLICATE = 0.25  # periods; samples that are closer together are duplicates
-JUMP_BACK = 10.0  # periods; samples are sorted if their stamps go back by less
-MAX_DIFFERENCE = 0.5  # RMS difference from derived velocities, as a fraction of their RMS
-MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not checked
+Window [s] and degree of the polynomial, for one and two differentiations.
 
-MAX_LAG = 0.5  # [s]; larger lags are not searched for
-MIN_LAG = 0.01  # [s]; at 1 Hz, this lag leads to acceleration errors of 6 %
-LAG_EXPLAINS = 0.25  # a lag must leave at most this fraction of the squared difference
-FINEST = 0.005  # [s]; spacing of compared lags, before interpolation
-MAX_SHAPE = 0.2  # largest relative difference between a shifted velocity and the derived one
+At 3 Hz, the filters attenuate accelerations by 0.2 % and 0.5 %. At 500 Hz, two differentiations
+turn encoder noise of 1e-4 rad into acceleration noise of 0.05 rad/s^2.
+"""
+MIN_SLACK = 4  # least difference between window length [samples] and degree of the polynomial
+MIN_RATE = 20.0  # lowest sampling rate from which accelerations can be derived [Hz]
+GAP = 5.0  # [sampling periods]; signals are not interpolated across longer intervals
+DUPLICATE = 0.25  # [sampling periods]; samples at shorter intervals are averaged
+JUMP_BACK = 10.0  # [sampling periods]; if time goes back by less, the samples are sorted
+MAX_DIFFERENCE = 0.5  # largest relative RMS difference of recorded and derived velocities
+MIN_SPEED = 1e-3  # [rad/s or m/s]; velocities of slower joints are not checked
+
+MAX_LAG = 0.5  # largest lag to search for [s]
+MIN_LAG = 0.01  # [s]; at 1 Hz, smaller lags cause acceleration errors of less than 6 %
+LAG_EXPLAINS = 0.25  # largest fraction of the squared difference after a shift by the lag
+FINEST = 0.005  # spacing of compared lags [s]
+MAX_SHAPE = 0.2  # largest relative difference of shifted and derived velocities
 
 CUTOFFS = (1.0, 8.0)  # [Hz]; filters with a higher cut-off hardly affect smoothed efforts
-STEEP = 35.0  # [dB] over two octaves; steeper than Coulomb friction (12) and noise (0)
-PASSED = 1e-4  # fraction of the largest power; below this, the signal was removed
-STILL_FALLING = 20.0  # [dB] of further decrease, up to the highest octave; noise is flat
-OUTLIERS = 1.4826  # ratio of standard deviation to median deviation, if normally distributed
+STEEP = 35.0  # fall over two octaves that shows a filter [dB]; friction falls by only 12 dB
+PASSED = 1e-4  # fraction of the largest power; a filter removed frequencies with less power
+STILL_FALLING = 20.0  # further fall up to the highest octave [dB]; noise does not fall
+OUTLIERS = 1.4826  # standard deviation divided by median deviation, in a normal distribution
 
 
 class Recording(NamedTuple):
@@ -76,7 +77,7 @@ class Motion(NamedTuple):
     efforts: Floats
     """Efforts, shape (K, m) [N m or N]; NaN for joints without measured effort."""
     window: int
-    """Number of samples in the smoothing window; samples within a window are correlated."""
+    """Number of samples in the smoothing window. Samples within a window are correlated."""
     degree: int
     """Degree of the smoothing polynomials."""
     joint_names: tuple[str, ...] = ()
@@ -89,20 +90,21 @@ class Motion(NamedTuple):
     qdd_noise: Floats = np.zeros(0)
     """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
     lags: Mapping[str, float] = MappingProxyType({})
-    """Lags of recorded velocities behind positions, by joint [s]; late velocities are not used."""
+    """Lags of recorded velocities, by joint [s]. Velocities with a lag are not used."""
     cut_off: float = math.inf
-    """Frequency above which the spectrum of the efforts is empty due to a filter [Hz]."""
+    """Cut-off frequency of a filter that acted before the recording [Hz]; inf without a filter."""
     raw_efforts: Floats = np.zeros((0, 0))
     """Efforts before smoothing, shape (K, m) [N m or N]."""
     qd_noise: Floats = np.zeros(0)
     """
-    Noise of the recorded velocities, including their resolution, shape (m,) [rad/s or m/s]. For
-    joints without recorded velocities, this is the noise of the derived velocities.
+    Noise and resolution of the recorded velocities, shape (m,) [rad/s or m/s].
+
+    Joints without recorded velocities have the noise of the derived velocities.
     """
 
     @property
     def period(self) -> float:
-        """Time between samples [s]."""
+        """Sampling period [s]."""
         return float(np.median(np.diff(self.times)))
 
 
@@ -122,8 +124,8 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
 
     `stretch` multiplies the length of the smoothing window, for noisy recordings of slow motions.
     Half a window is removed at the start, at the end, and on both sides of each gap. Raise
-    RecordingError if shapes differ, if a joint has no position, if time goes back, or if the
-    recording is too short or has too low a sampling rate.
+    RecordingError if shapes differ, if a joint has no position, if time goes back, if the
+    recording is too short, or if the sampling rate is too low.
     """
     times = _checked(recording)
     columns = [RecordedColumn(recording, times, j) for j in range(len(recording.joint_names))]
@@ -212,10 +214,10 @@ def _orders(
     columns: list[RecordedColumn], period: float
 ) -> tuple[list[int], list[str], dict[str, float]]:
     """
-    Return how often to differentiate each column.
+    Return the number of differentiations per column, inconsistent columns, and lags [s].
 
-    Consistent velocities are differentiated once; otherwise, positions are differentiated twice.
-    Also return the names of columns with inconsistent velocities, and the lags of velocities [s].
+    Velocities that agree with the positions are differentiated once. Otherwise, positions are
+    differentiated twice.
     """
     from scipy.signal import savgol_filter
 
@@ -414,7 +416,7 @@ class RecordedColumn:
 
 
 def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
-    """Average rows with nearly equal times; the first column contains the times."""
+    """Average rows with nearly equal times. The first column contains the times."""
     is_new = np.append(True, np.diff(values[:, 0]) > closest)
     if is_new.all():
         return values, 0
@@ -429,11 +431,10 @@ def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
 
 def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float:
     """
-    Estimate the standard deviation of the white noise left after smoothing with polynomials.
+    Estimate the standard deviation of the white noise that a Savitzky-Golay filter leaves.
 
-    `centre_weight` is the filter's weight of the middle sample. This weight is also the sum of all
-    squared weights, because the filter is a projection. The resolution of the signal is a lower
-    limit of the noise.
+    `centre_weight` is the filter's weight of the middle sample. The sum of all squared weights has
+    the same value, because the filter is a projection. The estimate includes quantisation noise.
     """
     removed = values - smoothed
     deviation = OUTLIERS * float(np.median(np.abs(removed - np.median(removed))))
@@ -442,7 +443,7 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
 
 
 def resolution(values: Floats) -> float:
-    """Return the step between quantised values; 0 if nearly all values differ."""
+    """Return the step between quantised values, or 0 if nearly all values differ."""
     levels = np.unique(values)
     # A quantised signal repeats its values, and all steps are multiples of the smallest step.
     if len(levels) < 3 or len(levels) > 0.2 * len(values):
@@ -456,9 +457,10 @@ def resolution(values: Floats) -> float:
 
 def lag(recorded: Floats, derived: Floats, period: float) -> float:
     """
-    Return the lag of a smoothed recorded velocity behind the derivative of the position [s].
+    Return the lag of the recorded velocity behind the derived velocity [s].
 
-    The lag is zero if no lag explains the difference. The period is the time between samples [s].
+    Both velocities must be smooth. The lag is zero if no lag explains the difference. `period` is
+    the sampling period [s].
     """
     # The signals are smooth, so fewer samples contain the same information.
     every = max(1, round(FINEST / period))
@@ -484,11 +486,11 @@ def lag(recorded: Floats, derived: Floats, period: float) -> float:
 
 def cut_off(efforts: Floats, period: float) -> float:
     """
-    Return the frequency above which the spectrum of an unsmoothed effort is empty [Hz].
+    Return the cut-off frequency of a filter that acted before the recording [Hz].
 
-    The noise of a sensor reaches up to half the sampling rate. If the spectrum falls steeply at a
-    few hertz and continues to fall, the signal was filtered before it was recorded. The period is
-    the time between samples [s]. The frequency is infinite if the spectrum is not empty anywhere.
+    Sensor noise reaches up to half the sampling rate. If the spectrum falls steeply at a few hertz
+    and continues to fall, a filter has removed the noise. The result is inf without a filter. The
+    efforts are not smoothed. `period` is the sampling period [s].
     """
     count = len(efforts)
     line = np.linspace(efforts[0], efforts[-1], count)
@@ -520,5 +522,5 @@ def _passed(frequencies: Floats, power: Floats) -> float:
         if ((frequencies >= f) & (frequencies < 2.0 * f)).any()
     ]
     largest = max(value for _, value in octaves)
-    # The geometric mean of the two ends of the octave.
+    # Return the geometric mean of both ends of the octave.
     return float(max(f for f, value in octaves if value > PASSED * largest) * math.sqrt(2.0))

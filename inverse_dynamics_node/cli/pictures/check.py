@@ -17,19 +17,19 @@ from . import style
 
 _BINS = 80
 _HALF = 0.42
-"""Largest extent of a distribution above and below the middle of its row [row heights]."""
+"""Half of the largest height of a distribution [row heights]."""
 _REACH = 1.12
-"""The effort axis ends at this multiple of the worst effort, on both sides."""
+"""The effort axis ends at this multiple of the worst effort."""
 _MAX_RATIO = 1.2
 """Bars are cut at this multiple of the limit."""
 _NEGLIGIBLE = 1e-6
 """Efforts smaller than this fraction of the largest effort are rounding errors."""
 _MOST_BESIDE_ONE_VIEW = 14
-"""With more joints than this, there is room for a second view of the robot."""
+"""With more joints than this, the picture contains a second view of the robot."""
 _MOST_NUMBERS = 12
 """With more joints than this, only the highlighted joint has a number."""
 _AROUND = ((0, 16), (0, -16), (24, 0), (-24, 0), (20, 14), (-20, 14), (0, 30), (0, -30))
-"""Offsets to try for the label of a joint [points]; the label takes the first free place."""
+"""Offsets for the label of a joint [points], in order of preference."""
 _LARGEST_MASS = 260.0
 """Area of the disc that shows the largest mass [square points]."""
 
@@ -68,7 +68,7 @@ def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[
 
 
 def _draw_efforts(axes: Any, workspace: Workspace) -> None:
-    """Draw the distribution of each joint's efforts; every joint has its own row and scale."""
+    """Draw the distribution of the efforts, with a row and a scale for each joint."""
     names = workspace.robot.joint_names
     peaks = workspace.peaks
     is_zero = peaks <= _NEGLIGIBLE * np.max(peaks)
@@ -98,12 +98,12 @@ def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
         counts / max(1, int(np.max(counts)))
     )  # the square root keeps the tails visible
     ends, outline = np.repeat(edges, 2)[1:-1], np.repeat(half, 2)
-    # One shape is fast: separate bars for hundreds of joints would take a minute.
+    # Separate bars for hundreds of joints would take a minute.
     axes.fill_between(ends, row - outline, row + outline, color=colour, alpha=0.45, linewidth=0)
 
 
 def _draw_ratios(axes: Any, workspace: Workspace) -> None:
-    """Draw one bar per joint: the ratio of worst effort to limit, with both numbers as text."""
+    """Draw the ratio of the worst effort to the limit as a bar for each joint."""
     count = len(workspace.limits)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
         is_beyond = bool(peak > limit)
@@ -146,8 +146,8 @@ def draw_arm(
     """
     Draw the robot from the side, with gravity pointing down.
 
-    One joint is highlighted, and the link that carries the payload is marked. View 0 is from the
-    side where the robot looks widest; view 1 is turned by 90 degrees.
+    The joint is highlighted, and the link is marked. View 0 shows the widest side of the
+    robot, and view 1 is turned by 90 degrees.
     """
     robot = dynamics.robot
     rotations, positions = body_frames(robot, q)
@@ -172,7 +172,7 @@ def draw_arm(
 
 
 def _frame(axes: Any, points: Floats) -> None:
-    """Set both axes to the same scale, and show a square that contains all points."""
+    """Set the limits of the axes to a square that contains all points."""
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     half = 0.6 * max(0.1, float(np.max(high - low)))
     middle = 0.5 * (low + high)
@@ -183,7 +183,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the projection to (across, up), shape (3, 2); view 0 shows the widest spread."""
+    """Return the projection to the directions across and up, shape (3, 2)."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]
@@ -236,7 +236,7 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
 def _draw_joints(
     axes: Any, robot: RobotModel, flat: Floats, joint: int
 ) -> list[tuple[Floats, list[int]]]:
-    """Draw the joints; return the place and the joint numbers (from 1) of each label."""
+    """Draw the joints; return the place and the joint numbers of each label."""
     many = len(robot.joint_names) > _MOST_NUMBERS
     apart = 0.07 * (float(np.max(np.ptp(flat, axis=0))) or 1.0)
     places: list[tuple[Floats, list[int]]] = []
@@ -261,7 +261,7 @@ def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
     """
     Write the numbers of the joints without overlaps.
 
-    A label without a free place is omitted; the rows beside the picture show all numbers.
+    A label without a free place is omitted, because the rows beside the picture show all numbers.
     """
     figure = axes.figure
     figure.canvas.draw()  # the layout determines the free places

@@ -16,16 +16,16 @@ from ...simulation.demo.scenarios import Timeline
 from . import style
 
 MOST_POINTS = 1500
-LEAST_ERROR = 0.01  # [mrad, mm]: the error axis spans at least +- this error
+LEAST_ERROR = 0.01  # [mrad, mm]; the error axis shows at least this error
 ACROSS = 115  # letters that fit on a line above the axes
-LEGEND, KEY = 120, 8  # widths of the legend, and of a line sample in the legend [letters]
+LEGEND, KEY = 120, 8  # widths of the legend and of a line sample [letters]
 JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
-"""Line styles; together with the colours, they distinguish 35 joints."""
+"""Five line styles, which distinguish 35 joints in seven colours."""
 MOST_IN_ONE = 10
 """With more joints than this, the efforts of each joint have a separate row."""
 LEAST_FRACTION = 1e-3
-"""Smallest scale of an effort, relative to the limit or, if there is none, the largest effort."""
+"""Smallest scale of an effort, as a fraction of the limit or of the largest effort."""
 LINE = 0.19  # height of a line of text [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -114,10 +114,10 @@ def _errors(axes: Any, robot: RobotModel, timeline: Timeline, history: History) 
 
 def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
     """
-    Draw all commanded efforts, even while joint states are missing; each joint has its own scale.
+    Draw all commanded efforts, with a separate scale for each joint.
 
-    Efforts that have no limit or are far below their limit are therefore legible. Each
-    joint's largest effort and limit are in the legend or, with one row per joint, beside the row.
+    The separate scales make small efforts legible. The labels contain the largest efforts and the
+    limits.
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)
@@ -169,7 +169,7 @@ def _shade(axes: Any, timeline: Timeline, history: History) -> None:
 
 
 def _explain(axes: Any, timeline: Timeline) -> None:
-    """Describe each event in a line above the first panel, at the time when the event begins."""
+    """Describe each event above the first panel, at the time of the event."""
     words = [timeline.begins, *(event.words for event in timeline.events)]
     end = axes.get_xlim()[1]
     for i, (time, text) in enumerate(zip(_edges(timeline), words, strict=True)):

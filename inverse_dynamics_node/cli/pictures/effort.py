@@ -81,7 +81,7 @@ def _draw_joint(
 
     limit, peak = float(requirements.effort_limits[k]), abs(float(requirements.peak[k]))
     low, high = axes.get_ylim()
-    # Distant limits would flatten the curves, and are therefore only in the title.
+    # Distant limits are only in the title, because they would flatten the curves.
     if limit < 2.5 * peak:
         for end in (-limit, limit):
             if low - limit < end < high + limit and end * requirements.peak[k] >= 0.0:

@@ -112,7 +112,7 @@ def _draw_view(
 
 
 def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) -> None:
-    """Draw the obstacles and, in views that show the height, the floor."""
+    """Draw the obstacles, and draw the floor in views that show the height."""
     if up == 2 and np.isfinite(clearance.floor):
         axes.axhline(clearance.floor, color=style.DARK, linewidth=1.2, zorder=0)
     for lowest, highest in clearance.boxes[:, :, [across, up]]:
@@ -121,7 +121,7 @@ def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) ->
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
-    """Return a label, and efforts in percent of the limit or, if there is none, of the peak."""
+    """Return a label, and the efforts in percent of the limit, or of the peak without a limit."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
     of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'

@@ -11,7 +11,7 @@ from ...analysis.identification import IdentificationResult
 from . import style
 
 _MOST_ROWS = 8
-"""With more joints than this, only those with the largest residuals are drawn."""
+"""With more joints than this, only the joints with the largest residuals are drawn."""
 _POINTS = 1200
 _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ('measured', 'measured', {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),

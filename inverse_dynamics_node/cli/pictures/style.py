@@ -1,4 +1,4 @@
-"""The style that makes pictures legible in a README and for colour-blind readers."""
+"""The style and the common functions of all pictures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ DPI = 100
 _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
 _TITLE_LINES = 5
-"""Largest number of lines in the title; an ellipsis replaces further lines."""
+"""Largest number of lines in the title, before an ellipsis."""
 
 _HOW_TO_GET_PICTURES = (
     "To get pictures, run 'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a "
@@ -65,7 +65,7 @@ _STYLE = {
 
 @contextmanager
 def styled_pyplot() -> Iterator[Any]:
-    """Apply the style within the body; yield pyplot, which opens no windows."""
+    """Apply the style within the body, and yield pyplot without windows."""
     import matplotlib
 
     matplotlib.use('Agg')
@@ -81,7 +81,7 @@ def styled_pyplot() -> Iterator[Any]:
 
 
 def title_lines(*paragraphs: str) -> list[str]:
-    """Return the lines of a title; each paragraph begins a new line, and words are not split."""
+    """Wrap the paragraphs of a title, and return the lines."""
     lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
     return [*lines[:_TITLE_LINES], '...'] if len(lines) > _TITLE_LINES else lines
 
@@ -92,7 +92,7 @@ def set_title(figure: Any, *paragraphs: str) -> None:
 
 
 def peak_in_words(peak: float, limit: float, unit: str) -> str:
-    """Write a peak effort and the limit of the joint."""
+    """Return a text with a peak effort and the limit."""
     return (
         f'{peak:.3g} of {number(limit)} {unit}'
         if limit < math.inf
@@ -101,7 +101,7 @@ def peak_in_words(peak: float, limit: float, unit: str) -> str:
 
 
 def runs_of(numbers: Sequence[int]) -> str:
-    """List numbers, with a dash for three or more in a row: '1, 3-6'."""
+    """Return a short list of numbers as text, such as '1, 3-6'."""
     runs: list[list[int]] = []
     for each in sorted(numbers):
         if runs and each == runs[-1][-1] + 1:
@@ -117,10 +117,9 @@ def try_to_draw(
     draw: Callable[[Path], None], options: argparse.Namespace, default: str
 ) -> Path | None:
     """
-    Draw a picture unless --no-picture is given; return its path, or None without a picture.
+    Draw a picture unless --no-picture is given; return the path of the picture, or None.
 
-    Without matplotlib, print how to install it. If the option --picture requested the picture,
-    raise ModuleNotFoundError instead.
+    Without matplotlib, print a note, or raise ModuleNotFoundError if --picture is given.
     """
     if options.no_picture:
         return None
@@ -147,7 +146,7 @@ def write_picture(draw: Callable[[Path], None], path: Path) -> None:
 def draw_lines(
     axes: Any, times: Floats, values: Floats, names: Sequence[str], linewidth: float
 ) -> None:
-    """Draw one line over time for each column of `values`, labelled with a name."""
+    """Draw a labelled line over time for each column of `values`."""
     for k, name in enumerate(fitting(names, 22)):
         axes.plot(
             times,
@@ -169,7 +168,7 @@ def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
 
 
 def fewer_ticks(*axes: Any) -> None:
-    """Use small labels, few ticks on the y axis, and little room at the ends of the x axis."""
+    """Use small labels, few ticks and narrow margins."""
     for ax in axes:
         ax.tick_params(labelsize=8.5)
         ax.locator_params(axis='y', nbins=4)
@@ -179,7 +178,7 @@ def fewer_ticks(*axes: Any) -> None:
 def legend_below(
     figure: Any, handles: Sequence[Any], labels: Sequence[str], **options: Any
 ) -> None:
-    """Place a legend below all axes; matplotlib 3.6 has no location for this."""
+    """Place a legend below all axes, which matplotlib 3.6 cannot do alone."""
     legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
     height = legend.get_window_extent().height / figure.bbox.height
     figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))

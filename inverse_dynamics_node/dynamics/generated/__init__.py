@@ -1,1 +1,1 @@
-"""Generates code for one robot; the other modules do not depend on this part."""
+"""Code generation for one robot."""

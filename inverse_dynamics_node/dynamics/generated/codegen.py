@@ -1,15 +1,13 @@
 """
 Code generation for one robot.
 
-The equations are not repeated here. The functions of `newton_euler` and `mass_matrix` run once, on
-symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction, and computes nothing.
-Constants of the robot (parents, joint types, rotations, offsets) remain plain numbers. Loops and
-branches that depend only on constants are therefore resolved, and products with zero disappear.
-The result is straight-line code.
+The functions of `newton_euler` and `mass_matrix` run once, with a `RunTimeNumber` for every joint
+state and load. Arithmetic on a `RunTimeNumber` emits an instruction instead of computing a result.
+Constants of the robot, such as joint types and offsets, remain plain numbers. The generated code
+therefore contains no loops, no branches, and no products with a constant zero.
 
-Numbers that may change at run time are read from the robot table at each call. The code omits
-numbers that were zero when it was generated. `GeneratedDynamics` detects when such a number
-becomes nonzero.
+At each call, the code reads the loads from the robot table. The code omits loads that are zero
+during generation. `GeneratedDynamics` detects when such a load becomes nonzero.
 """
 
 from __future__ import annotations
@@ -31,14 +29,14 @@ if IS_COMPILED:
 
 
 class Code(NamedTuple):
-    """The functions that `write_out` compiles; they return the status of `inverse_dynamics`."""
+    """The functions that `write_out` compiles; each function returns a status of `jit`."""
 
     in_block: Callable[[], int]
     in_arrays: Callable[[Any, Any, Any, Any], int]
 
 
 def acting_numbers(table: Floats) -> Any:
-    """Return a mask of the numbers that are nonzero, and may change between calls."""
+    """Return a mask of the nonzero numbers that may change between calls."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
         robot_table.MASS,
@@ -57,9 +55,9 @@ def write_out(table: Floats, block: Floats) -> Code:
     """
     Compile `newton_euler.inverse_dynamics` for one robot.
 
-    ``table`` is from `robot_table`. The rows of ``block`` are q, qd, qdd and tau for
-    `Code.in_block`, with one number per joint. The two arrays must exist as long as the code,
-    because the code contains their addresses.
+    ``table`` is from `robot_table`. ``block``, shape (4, n), contains q, qd, qdd and tau for
+    `Code.in_block`. The two arrays must exist as long as the code, because the code contains the
+    addresses of the arrays.
 
     """
     n = block.shape[1]
@@ -98,8 +96,8 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
     """
     Compile `mass_matrix.mass_matrix` for one robot, as a function of q and the matrix.
 
-    At each call, the code reads those numbers of the table that ``acting`` marks. The table must
-    exist as long as the code, because the code contains its address.
+    At each call, the code reads the numbers of the table that the mask ``acting`` selects. The
+    table must exist as long as the code, because the code contains the address of the table.
 
     """
     n = int(table[0, robot_table.JOINT_COUNT])
@@ -127,7 +125,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
 
 
 def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any]]:
-    """Return the rows of a table; numbers that ``acting`` marks are loaded at run time."""
+    """Return the rows of a table, with run-time numbers where the mask ``acting`` is True."""
     base = writer.integer(table.ctypes.data)
     robot: list[list[Any]] = table.tolist()
     for i, k in np.argwhere(acting):
@@ -142,7 +140,7 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Copy the functions of the passes; the copies emit instructions with the writer."""
+    """Return copies of the compiled functions that emit instructions with the writer."""
     # The inputs are checked too, because omitted products with zero do not propagate NaN or inf.
     zero_if_finite = sum(x - x for x in inputs)
 
@@ -165,11 +163,11 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
 
 class RunTimeNumber:
     """
-    A number that is known only at run time; arithmetic on this number emits an instruction.
+    A number that is known only at run time.
 
-    Sums with 0, and products with 0 or 1, emit no instruction. A `RunTimeNumber` never equals a
-    plain number. Where `newton_euler` compares such a number with zero, the code takes the branch
-    for nonzero numbers.
+    Arithmetic on the number emits an instruction, except for sums with 0 and products with 0 or 1.
+    A `RunTimeNumber` never equals 0, so that comparisons in `newton_euler` select the branch for
+    nonzero numbers.
 
     """
 
@@ -196,7 +194,7 @@ class RunTimeNumber:
 
 
 class Writer:
-    """Emits instructions for plain and run-time numbers into a function that numba compiles."""
+    """Emits instructions into a function that numba compiles."""
 
     def __init__(self, context: Any, builder: Any) -> None:
         self.context = context
@@ -214,7 +212,7 @@ class Writer:
         self.builder.store(self._value(number), self._pointer(address, k))
 
     def elementary(self, function: Callable[[float], float]) -> Callable[[Any], Any]:
-        """Convert a function of `math` to a function of plain and run-time numbers."""
+        """Extend a function of `math` to run-time numbers."""
         call = self.context.get_function(function, numba.float64(numba.float64))
 
         def write(number: Any) -> Any:
@@ -225,7 +223,7 @@ class Writer:
         return write
 
     def status(self, number: Any) -> Any:
-        """Return the status NOT_FINITE if a number is NaN, otherwise OK."""
+        """Emit the status `NOT_FINITE` if a number is NaN, otherwise `OK`."""
         value = self._value(number)
         is_nan = self.builder.fcmp_unordered('uno', value, value)
         return self.builder.select(is_nan, *(self.integer(x) for x in (NOT_FINITE, OK)))

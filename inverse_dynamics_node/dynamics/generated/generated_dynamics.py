@@ -1,4 +1,4 @@
-"""Inverse dynamics with code generated for one robot; `InverseDynamics` is the fallback."""
+"""Inverse dynamics with code that is generated for one robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .codegen import acting_numbers, Code, write_out, write_out_mass_matrix
 
 
 class State(NamedTuple):
-    """One state of n joints in arrays of shape (n,) that are overwritten in place."""
+    """State and efforts of n joints, in arrays of shape (n,) that are overwritten in place."""
 
     q: Floats
     """Joint positions [rad or m]."""
@@ -32,30 +32,30 @@ DOES_NOT_FIT = -1
 
 
 def no_code(*_: Any) -> int:
-    """Report that the generated code does not fit the present loads."""
+    """Return `DOES_NOT_FIT`; used where no generated code fits the loads."""
     return DOES_NOT_FIT
 
 
 NO_CODE = Code(no_code, no_code)
-NO_CODE_WARNING = 'no code could be generated; InverseDynamics is used instead: {!r}'
+NO_CODE_WARNING = 'InverseDynamics is used because code generation failed with {!r}'
 
 
 class GeneratedDynamics:
     """
-    Inverse dynamics with code generated for one robot, for use in a control loop.
+    Fast inverse dynamics for control loops, with code that is generated for one robot.
 
-    The results equal those of `InverseDynamics` except for rounding: multiplications and
-    additions are fused if the processor can fuse them. A change of gravity, base motion, payloads,
-    wrenches, friction or armature in ``dynamics`` applies at once, without another compilation.
+    The results equal those of `InverseDynamics` except for rounding errors, because the processor
+    may fuse multiplications and additions. A change of gravity, base motion, payloads, wrenches,
+    friction or armature in ``dynamics`` applies at once, without another compilation.
 
-    The code omits loads that were zero when this object was made. If such a load becomes nonzero,
-    for example because the base starts to rotate, `InverseDynamics` computes the efforts until the
-    load is zero again. Without numba, `InverseDynamics` always computes the efforts.
+    The code omits loads that are zero when the object is created. If such a load becomes nonzero,
+    `InverseDynamics` computes the efforts until the load is zero again. Without numba,
+    `InverseDynamics` always computes the efforts.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        Dynamics with typical values of all loads that the control loop will set.
+        Dynamics with a typical value of every load that the control loop will set.
 
     Attributes
     ----------
@@ -64,15 +64,15 @@ class GeneratedDynamics:
 
     Notes
     -----
-    Creating an object takes a few tenths of a second. Code is compiled for every object and never
-    cached, because the code contains array addresses. The first call of `mass_matrix` compiles
-    more code; make this call before the control loop starts.
+    Creating an object takes a few tenths of a second, because every object compiles its own code.
+    The code is not cached, because compiled code contains memory addresses. The first call of
+    `mass_matrix` compiles more code, and should be made before the control loop starts.
 
     """
 
     def __init__(self, dynamics: InverseDynamics) -> None:
         block = np.zeros((4, len(dynamics.robot.joint_names)))
-        # While views of the block exist, numpy cannot resize it, so its address is constant.
+        # The address of the block is constant, because numpy cannot resize an array with views.
         self.state = State(*block)
         self._tau = self.state.tau
         self._dynamics = dynamics
@@ -91,7 +91,7 @@ class GeneratedDynamics:
 
     def update(self) -> Floats:
         """
-        Compute the efforts for the state in ``state``; this is the fastest call from Python.
+        Compute the efforts for the values in ``state``; no other call from Python is faster.
 
         Returns
         -------
@@ -115,7 +115,7 @@ class GeneratedDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
         """
-        Compute the joint efforts for arrays that are not in ``state``.
+        Compute the joint efforts for given arrays.
 
         Parameters, result and errors are those of `InverseDynamics.efforts`.
 
@@ -148,7 +148,7 @@ class GeneratedDynamics:
         return self._dynamics.mass_matrix(q, out)
 
     def _first_mass_matrix(self, q: Any, matrix: Any) -> int:
-        """Compile the code of the mass matrix, and run it."""
+        """Compile and run the code of the mass matrix."""
         self._compiled_mass_matrix = no_code
         if IS_COMPILED:
             try:
@@ -159,7 +159,7 @@ class GeneratedDynamics:
         return self._mass_matrix(q, matrix)
 
     def _select_code(self) -> None:
-        """Use `InverseDynamics` while a number that the generated code omits is nonzero."""
+        """Use `InverseDynamics` while a load that the generated code omits is nonzero."""
         self._revision = self._dynamics.revision
         is_new = (acting_numbers(self._table) & ~self._traced).any()
         self._in_block, self._in_arrays = NO_CODE if is_new else self._code

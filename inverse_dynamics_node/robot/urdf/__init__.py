@@ -1,4 +1,4 @@
-"""Loads a `RobotModel` from a URDF in six steps: read, parse, check, strip, evaluate, merge."""
+"""Loads a `RobotModel` from a URDF, and writes inertials and friction into a URDF."""
 
 from .loader import load_urdf
 

@@ -1,8 +1,8 @@
 """
-Builds bodies from links and joints: links connected by fixed joints form one body.
+Builds a `RobotModel` from links and joints; links connected by fixed joints form one body.
 
-The values follow the conventions of URDF. The frame of a joint is the frame of its child link, and
-is given in the frame of the parent link.
+The frame of a joint is the frame of its child link. The pose of the joint is given in the frame of
+its parent link.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """Rule of a mimic joint: its position is ``multiplier * position of master + offset``."""
+    """A mimic joint has the position ``multiplier * position of master + offset``."""
 
     master: str
     multiplier: float
@@ -51,7 +51,7 @@ class Joint(NamedTuple):
 
 
 class _Placement(NamedTuple):
-    """The body that contains a link, and the pose of the link in the frame of that body."""
+    """The body that contains a link, and the pose of the link in the body frame."""
 
     body: int
     rotation: Floats
@@ -59,7 +59,7 @@ class _Placement(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """A movable joint, and its pose in the frame of the parent body at joint position 0."""
+    """A movable joint, and its pose in the frame of the parent body at position 0."""
 
     joint: Joint
     parent: int
@@ -76,8 +76,8 @@ def build_model(
     """
     Merge links into bodies, and resolve mimic joints.
 
-    ``links`` and ``joints`` form one tree, and are in file order. The warnings of the
-    model are ``warnings``, and warnings about joints that move no mass.
+    ``links`` and ``joints`` must form one tree. Warnings about joints that move no mass are added
+    to ``warnings``.
 
     """
     root, bodies, placements = _place(links, joints)
@@ -125,7 +125,7 @@ def build_model(
 def _place(
     links: Sequence[Link], joints: Sequence[Joint]
 ) -> tuple[str, list[_Body], dict[str, _Placement]]:
-    """Return the root, the bodies (depth first, siblings in file order), and each link's place."""
+    """Return the root link, the bodies in depth-first order, and the placements of the links."""
     children: dict[str, list[Joint]] = {link.name: [] for link in links}
     for joint in joints:
         children[joint.parent].append(joint)
@@ -152,7 +152,7 @@ def _place(
 def _merge(
     placed: Sequence[_Placement], links: Sequence[Link], count: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mass, centre of mass and inertia of the bodies, in the frames of the bodies."""
+    """Return masses, centres of mass and inertias of the bodies, in the body frames."""
     parts: list[list[RigidBody]] = [[] for _ in range(count)]
     for place, link in zip(placed, links, strict=True):
         moved = link.inertial.rotate(place.rotation).shift(place.position)
@@ -167,7 +167,12 @@ def _merge(
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
-    """Make every mimic joint follow a joint that is not a mimic joint itself."""
+    """
+    Return the mimic rule of every joint, without chains of mimic joints.
+
+    A joint that is not a mimic joint follows itself.
+
+    """
     by_name = {joint.name: joint for joint in joints}
     resolved: dict[str, Mimic] = {}
     for start in by_name.values():
@@ -190,10 +195,9 @@ def _folded_friction(
     """
     Return damping and friction of the joints, including those of their mimic joints.
 
-    A mimic joint with multiplier m moves m times as fast as its master. The effort of the mimic
-    joint, times m, adds to the effort of the master. The viscous friction of a mimic joint is
-    therefore multiplied by m squared. Coulomb friction does not depend on the speed, and always
-    opposes the motion. The Coulomb friction of a mimic joint is therefore multiplied by |m|.
+    A mimic joint with multiplier m moves m times as fast as its master, and the effort of the
+    mimic joint acts m times on the master. The viscous friction of a mimic joint is therefore
+    multiplied by m squared, and the Coulomb friction by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)
@@ -205,7 +209,7 @@ def _folded_friction(
 
 
 def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[ModelWarning]:
-    """Return warnings about joints that move no mass, and thus have no gravity efforts."""
+    """Return warnings about joints that move no mass."""
     if not bodies:
         text = 'no joint can move: there is no effort to compute'
         return [ModelWarning(text, 'check that this is the whole robot: every joint is fixed')]
@@ -216,6 +220,6 @@ def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> 
     if len(idle) == len(bodies):
         text = 'no joint moves any mass: every gravity effort is zero'
         return [ModelWarning(text, 'write <inertial>; without masses, all efforts are zero')]
-    text = 'moves no mass: its gravity effort is always zero'
+    text = 'moves no mass, so its gravity effort is always zero'
     hint = 'write <inertial> for the links that this joint moves, unless the links are only frames'
     return [ModelWarning(text, hint, f"joint '{name}'") for name in idle]

@@ -1,7 +1,7 @@
 """
-Checks the elements and the link tree of a URDF before its numbers are used.
+Checks the elements and the link tree of a URDF.
 
-All errors are collected. Each error contains the line, the element and the value found.
+All errors are collected, with line, element and value.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def check_missing_inertials(
     children = {
         child.get('link') for joint in joints.values() for child in joint if tag(child) == 'child'
     }
-    text = 'has a shape but no <inertial>; it is treated as massless'
+    text = 'has a shape but no <inertial>'
     hint = 'write <inertial> from CAD; without it, the weight of this link is not compensated'
     for name, link in links.items():
         parts = {tag(part) for part in link}
@@ -220,13 +220,13 @@ def check_missing_inertials(
         if are_required:
             problems.error(link, f'{label(link)}: {text}')
         else:
-            problems.warning(link, label(link), text, hint)
+            problems.warning(link, label(link), f'{text}; it is treated as massless', hint)
 
 
 _FEWEST_ALIKE = 3
-"""Smallest number of equal links that causes a warning; two links may be identical parts."""
+"""Least number of equal links for a warning, because two links may be identical parts."""
 _FRACTION_ALIKE = 0.8
-"""If this fraction of the links with mass has equal values, the values are placeholders."""
+"""Equal values on this fraction of the links with mass are placeholders."""
 
 
 def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> None:
@@ -241,7 +241,7 @@ def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> No
     unit = [name for name in masses if tensors[name] == (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)]
     if len(unit) > 1:
         text = f'{len(unit)} of {count} links with mass have the inertia 1 1 1 kg m^2'
-        _warn(links[unit[0]], f'{text}: {listed(unit, 4)}', problems)
+        _warn(links[unit[0]], f'{text} ({listed(unit, 4)})', problems)
     if count < _FEWEST_ALIKE:
         return
     alike = _with_most_common_value(tensors)
@@ -260,7 +260,7 @@ def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> No
 
 def _warn(link: Element, text: str, problems: Problems) -> None:
     hint = 'take mass, centre of mass and inertia from CAD'
-    problems.warning(link, '', f'{text}: looks like a placeholder', hint)
+    problems.warning(link, '', f'{text}, which looks like a placeholder', hint)
 
 
 def _with_most_common_value(values: Mapping[str, tuple[float, ...]]) -> list[str]:

@@ -1,8 +1,8 @@
 """
 Loads a `RobotModel` from a URDF in six steps: read, parse, check, strip, evaluate, merge.
 
-The file is checked before yourdfpy reads the values, because yourdfpy is tolerant: it repairs
-broken XML, fills in missing inertias, and checks neither types nor references.
+The checks come before yourdfpy reads the values, because yourdfpy repairs broken XML, fills in
+missing inertias, and checks neither types nor references.
 """
 
 from __future__ import annotations
@@ -31,15 +31,14 @@ def load_urdf(
     """
     Load a robot from a URDF file or from URDF text.
 
-    Only this file is opened; meshes and the network are not used. Links without ``<inertial>``
-    have no mass. Links connected by fixed joints are merged. Mimic joints follow the joints that
-    they mimic.
+    Meshes are not read. Links without ``<inertial>`` have no mass. Links connected by fixed joints
+    are merged.
 
     Parameters
     ----------
     path_or_xml : str or path-like
-        A path, or XML text. A str that starts with ``<`` is XML text; white space and a byte order
-        mark may precede the ``<``.
+        A path, or XML text. XML text starts with ``<``, after optional white space or a byte
+        order mark.
     on_missing_inertial : {'warn', 'refuse'}
         Whether a link with a shape but without ``<inertial>`` causes a warning or an error. The
         root link causes neither.
@@ -52,18 +51,18 @@ def load_urdf(
     Raises
     ------
     UrdfError
-        If the file cannot be read, or does not describe one tree of revolute, continuous,
-        prismatic and fixed joints with complete inertias and limits. A robot with a single link
-        and no joints is an error, too. All problems are listed, with their lines.
+        If the file cannot be read, or the description has errors. The joints must form one tree,
+        and must be revolute, continuous, prismatic or fixed. Inertias and limits must be complete.
+        A robot without joints is an error. The message lists all errors with their lines.
     ConfigurationError
         If ``on_missing_inertial`` is neither 'warn' nor 'refuse'.
 
     Notes
     -----
     The conventions are those of urdfdom, the parser of ROS. Lower and upper limits default to 0,
-    and the axis defaults to x. An effort or velocity limit of 0 means that the limit is unknown,
-    and becomes infinite. Versions 1.0 to 1.2 of the format are supported. The attribute
-    ``quat_xyzw`` of an origin needs version 1.1 or later.
+    and the axis defaults to x. An effort or velocity limit of 0 means unknown, and becomes
+    infinite. Versions 1.0 to 1.2 of the format are supported. The attribute ``quat_xyzw`` needs
+    version 1.1 or later.
 
     """
     if on_missing_inertial not in ('warn', 'refuse'):
@@ -76,7 +75,7 @@ def load_urdf(
     if problems.errors:
         raise UrdfError(problems.errors, source.name)
     links, joints = _values(_stripped(root))
-    # Numbers that are too large become infinite; `_overflows` reports the affected values.
+    # Large numbers may overflow to infinite values, which `_overflows` reports.
     with np.errstate(all='ignore'):
         robot = build_model(root.get('name'), links, joints, [*warnings, *problems.warnings])
     overflows = _overflows(robot)
@@ -154,7 +153,7 @@ def _joint(joint: Any) -> Joint:
 
 
 def _overflows(robot: RobotModel) -> list[str]:
-    """Describe values that overflowed although every number in the file is finite."""
+    """Return an error for each value that has overflowed."""
     rows = {
         robot.body_names: ('p_PL', 'mass', 'com', 'inertia', 'multiplier', 'offset'),
         robot.joint_names: ('damping', 'friction'),

@@ -1,8 +1,8 @@
 """
-Tables of the permitted contents of URDF elements, and checks of single links and joints.
+Rules for the contents of URDF elements, and checks of single links and joints.
 
-The format is that of urdfdom, but this module is stricter. Where urdfdom logs a line and continues
-with a zero, this module reports an error, because a lost mass causes wrong efforts.
+The rules are stricter than those of urdfdom, which logs an invalid mass and continues with zero.
+This module reports an error instead, because a lost mass causes wrong efforts.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ CHILDREN = {
 """Child elements that the dynamics need; only links and joints may occur more than once."""
 
 READ_ONCE = 'origin'
-"""If a parent has several elements of this kind, only the first one is used."""
+"""Only the first element of this kind in a parent is used."""
 
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
-"""Child elements that are checked in a fixed joint; other elements have no meaning there."""
+"""Child elements that have a meaning in a fixed joint."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class Rule:
 
     names: tuple[str, ...] = ()
     numbers: Mapping[str, int] = field(default_factory=dict)
-    """Names of numeric attributes, and how many numbers each of them contains."""
+    """How many numbers each numeric attribute contains."""
     required: tuple[str, ...] = ()
     not_negative: tuple[str, ...] = ()
     is_open: bool = False
-    """Whether unlisted attributes are allowed; otherwise, they are probably misspelt."""
+    """Whether other attributes are accepted without a warning."""
 
 
 def _scalars(*names: str) -> dict[str, int]:
@@ -112,7 +112,7 @@ RULES = {
 # Errors and warnings
 
 _MAX_LINE = 65535
-"""Largest line number in libxml2 (16 bits); all later lines get this number, too."""
+"""Largest line number in libxml2, which all later lines get, too."""
 
 
 class Problems:
@@ -137,7 +137,7 @@ class Problems:
         self._errors.append((element.sourceline, text))
 
     def error_of_all(self, text: str) -> None:
-        """Add an error about the whole description; it follows all other errors."""
+        """Add an error about the whole description, after all other errors."""
         self._errors.append((math.inf, text))
 
     def warning(self, element: Element, subject: str, text: str, hint: str) -> None:
@@ -174,7 +174,7 @@ def check_children(
     """
     Return the children of the given kinds; several children of one kind are an error.
 
-    Several origins cause only a warning, because urdfdom and all ROS tools use the first one.
+    Several origins cause only a warning, because all ROS tools use the first origin.
 
     """
     found: defaultdict[str, list[Element]] = defaultdict(list)
@@ -190,10 +190,10 @@ def check_children(
             continue
         count = f'{len(found[kind])} <{kind}> elements'
         if kind == READ_ONCE:
-            hint = 'remove the others; ROS tools use the first one, too'
+            hint = 'remove the other elements; ROS tools use the first one, too'
             problems.warning(found[kind][1], where, f'{count}; only the first one is used', hint)
         else:
-            problems.error(found[kind][1], f'{where}: {count}, at most one is allowed')
+            problems.error(found[kind][1], f'{where}: {count}, expected at most one')
     return {kind: found[kind][0] for kind in kinds if found[kind]}
 
 
@@ -233,7 +233,7 @@ def check_attributes(
                 problems.error(element, f'{where} {what}: {numbers}')
             elif name in rule.not_negative and numbers[0] < 0.0:
                 negative = f'{shortened(text.strip())} is negative'
-                hint = '; without a limit, write a large number' if kind == 'limit' else ''
+                hint = '; if there is no limit, write a large number' if kind == 'limit' else ''
                 problems.error(element, f'{where}: {what} {negative}{hint}')
             else:
                 values[name] = numbers
@@ -265,7 +265,7 @@ def _numbers(text: str, count: int) -> tuple[float, ...] | str:
 
 
 def is_finite_decimal(word: str) -> bool:
-    """Return whether a word is a decimal number that a float can hold."""
+    """Return whether a word is a finite decimal number."""
     return bool(_DECIMAL.fullmatch(word)) and math.isfinite(float(word))
 
 
@@ -275,9 +275,9 @@ def written(element: Element, name: str) -> str:
 
 
 UNIT_TOLERANCE = 1e-3
-"""Tolerated error of a norm: a vector rounded to four digits is still a unit vector."""
+"""Tolerated error of a unit vector's norm, because files contain rounded numbers."""
 _QUATERNION_TOLERANCE = 0.1
-"""Tolerated error of a quaternion's norm: rounding to one digit passes, typing errors do not."""
+"""Tolerated error of a quaternion's norm; larger errors are typing errors."""
 _MAX_RPY = 7.0
 """Slightly more than one turn [rad]; a larger angle is probably in degrees."""
 
@@ -298,11 +298,11 @@ def _check_quaternion(
 ) -> None:
     version = version_of(origin)
     if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
-        # For these versions, urdfdom ignores the attribute, and therefore the rotation.
-        text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; or write rpy'
+        # In this version, urdfdom ignores the attribute, and therefore the rotation.
+        text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; write 1.1, or use rpy'
         problems.error(origin, f'{where}: {text}')
     if 'rpy' in origin.attrib:
-        problems.error(origin, f'{where} has both rpy and quat_xyzw, expected one of them')
+        problems.error(origin, f'{where} has both rpy and quat_xyzw, expected only one')
     if 'quat_xyzw' not in values:
         return
     norm = math.hypot(*values['quat_xyzw'])
@@ -318,13 +318,13 @@ def _check_quaternion(
 # Links
 
 _MOMENT_TOLERANCE = 1e-3
-"""Tolerated violation of the triangle inequality, as a fraction of the sum of the moments."""
+"""Tolerated error of principal moments, as a fraction of the sum of the moments."""
 _MAX_GYRATION = 10.0
 """Largest plausible radius of gyration [m]; a larger radius indicates wrong units of inertia."""
 
 _TENSOR_HINT = (
-    'take the inertia about the centre of mass from CAD, in kg m^2; the inertia affects only '
-    'the efforts due to accelerations'
+    'take the inertia about the centre of mass from CAD, in kg m^2; gravity efforts do not '
+    'depend on the inertia'
 )
 
 
@@ -353,7 +353,7 @@ def check_link(link: Element, problems: Problems) -> None:
 def _warn_of_odd_inertia(
     inertial: Element, where: str, mass: float, moments: Sequence[float], problems: Problems
 ) -> None:
-    """Warn about an inertia that is impossible for a rigid body of this mass."""
+    """Warn about an inertia that is impossible, or implausible for the mass."""
     largest = max(abs(moment) for moment in moments)
     if largest == 0.0:
         if mass > 0.0:
@@ -370,7 +370,7 @@ def _warn_of_odd_inertia(
     small, middle, large = (float(moment) for moment in principal)
     values = ', '.join(f'{moment * largest:.3g}' for moment in (small, middle, large))
     if small < -slack:
-        text = f'inertia is not positive (principal moments {values} kg m^2)'
+        text = f'a principal moment of inertia is negative ({values} kg m^2)'
         problems.warning(inertial, where, text, _TENSOR_HINT)
     elif small + middle < large - slack:
         text = (
@@ -465,7 +465,7 @@ def _check_limit(
         for name, hint in _ZERO_LIMIT_HINTS.items():
             if values.get(name) == (0.0,):
                 subject = limit_subject(joint.get('name', ''), name)
-                text = f'0 is read as unknown: the {name} is not limited'
+                text = f'0 is read as unknown, so the {name} is not limited'
                 problems.warning(limit, subject, text, hint)
     if kind in _LIMITED_TYPES:
         _check_range(joint, limit, values, problems)
@@ -480,8 +480,9 @@ def _check_range(
         return
     lower, upper = (values.get(name, (0.0,))[0] for name in ('lower', 'upper'))
     if lower > upper:
-        hint = "; for a joint without limits write type 'continuous'" if kind == 'revolute' else ''
-        problems.error(limit, f'{where}: limit lower {lower:g} > upper {upper:g}{hint}')
+        hint = "; if there are no limits, write type 'continuous'" if kind == 'revolute' else ''
+        text = f'lower limit {lower:g} exceeds upper limit {upper:g}{hint}'
+        problems.error(limit, f'{where}: {text}')
     elif missing:
         text = f'<limit> has no {" and no ".join(missing)}; 0 is used'
         problems.warning(limit, where, text, 'write both limits, in rad or m')

@@ -1,4 +1,4 @@
-"""The collision shapes of the links of a URDF as triangles; meshes are read with trimesh."""
+"""Reads the collision shapes of a URDF as triangles."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ class Shape(NamedTuple):
 
     link: str
     vertices: Floats
-    """Positions of the v vertices, shape (v, 3) [m]."""
+    """Positions of the vertices, shape (v, 3) [m]."""
     faces: Integers
-    """Indices of the three vertices of each of the f triangles, shape (f, 3)."""
+    """Indices of the vertices of each triangle, shape (f, 3)."""
 
 
 def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[str, str]]:
     """
-    Read the collision shapes of a robot, and the mesh files that they name.
+    Read the collision shapes of a robot, including mesh files.
 
-    The argument must be a description that `load_urdf` accepts. The first result contains the
-    shapes that can be read. The second result maps names of links that have an unreadable shape to
-    the reasons.
+    `load_urdf` must accept the description. The first result contains the readable shapes. The
+    second result maps each link with an unreadable shape to the reason.
 
     """
     source = read_source(path_or_xml)
@@ -64,7 +63,7 @@ def _shape(link: str, collision: Element, folder: Path | None) -> Shape:
 
 
 def _mesh(solid: Element, folder: Path | None) -> Any:
-    """Return the triangles of a solid; the vertices of round solids lie on the surface."""
+    """Return a solid as triangles; all vertices are on the surface of the solid."""
     import trimesh  # takes a third of a second to import
 
     kind = tag(solid)
@@ -85,7 +84,7 @@ def _mesh(solid: Element, folder: Path | None) -> Any:
 
 
 def _mesh_file(name: str, folder: Path | None) -> Path:
-    """Find a mesh file by its path, or in a ROS package that is installed or nearby."""
+    """Find a mesh file by its path, or in an installed or nearby ROS package."""
     scheme, _, rest = name.rpartition('://')
     if scheme not in ('package', 'model'):
         paths = [Path(rest) if folder is None else folder / rest]

@@ -1,8 +1,7 @@
 """
-Writes inertials and friction into the text of a URDF, and changes nothing else.
+Writes inertials and friction into the text of a URDF.
 
-Only the numbers are replaced. Comments, formatting, unknown elements and the order of attributes
-do not change. A diff with the original therefore shows only the new values.
+Comments and formatting do not change, so that a diff shows only the new values.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from ..rigid_body import RigidBody
 from .schema import MOMENTS
 from .xml import blank_declaration, declared_encoding, read_source
 
-_ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of the moments
+_ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of `MOMENTS`
 _INDENT = b'  '
 
 
@@ -37,7 +36,7 @@ class Friction(NamedTuple):
 
 @dataclass
 class _Node:
-    """An element, and the positions of its tags in the text, in bytes."""
+    """An element, and the byte positions of its tags in the text."""
 
     kind: str
     attributes: dict[str, str]
@@ -49,7 +48,7 @@ class _Node:
     children: list[_Node] = field(default_factory=list)
 
     def first(self, kind: str) -> _Node | None:
-        """Return the first child of a kind, which is the child that `load_urdf` reads."""
+        """Return the first child of a kind; `load_urdf` ignores the other children."""
         return next((child for child in self.children if child.kind == kind), None)
 
 
@@ -59,12 +58,11 @@ def rewrite(
     friction: Mapping[str, Friction],
 ) -> bytes:
     """
-    Replace inertials and friction in a URDF that `load_urdf` has accepted; return the new text.
+    Replace inertials and friction in a valid URDF; return the new text.
 
-    ``inertials`` maps names of links to new bodies, in the frames of the links. An existing
-    inertial frame keeps its axes. ``friction`` maps names of joints to new friction. A missing
-    ``<dynamics>`` is added. The result has the encoding of the original. New numbers have 17
-    significant digits.
+    ``inertials`` maps link names to bodies in the link frames. An existing inertial frame keeps
+    its axes. ``friction`` maps joint names to friction. Missing elements are added. The result has
+    the encoding of the original. New numbers have 17 significant digits.
 
     """
     source = read_source(path_or_xml)
@@ -83,7 +81,7 @@ def rewrite(
 
 
 def _parse(text: bytes) -> _Node:
-    """Parse the text, and return its root element."""
+    """Return the root element of a text."""
     roots: list[_Node] = []
     opened: list[_Node] = []
     parser = expat.ParserCreate('utf-8')
@@ -131,7 +129,7 @@ def _inertial_edits(text: bytes, link: _Node, body: RigidBody) -> Iterator[tuple
 
 
 def _rotation(origin: _Node | None) -> Floats:
-    """Return the rotation that the <origin> of an <inertial> contains."""
+    """Return the rotation of the <origin> of an <inertial>."""
     if origin is None:
         return np.eye(3)
     rpy = origin.attributes.get('rpy', '0 0 0')
@@ -180,7 +178,7 @@ def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int,
 
 
 def _indent(text: bytes, start: int) -> bytes:
-    """Return the line break and the spaces before an element, or '' if other text precedes it."""
+    """Return the line break and the spaces directly before an element, or ''."""
     found = re.search(rb'\r?\n[ \t]*$', text[:start])
     return found[0] if found else b''
 

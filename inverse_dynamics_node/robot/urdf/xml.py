@@ -17,10 +17,10 @@ Element = Any
 """An lxml element; lxml has no type annotations."""
 
 MAX_BYTES = 16 * 2**20
-"""Largest size, ten times that of the largest real robot description; parsing takes seconds."""
+"""Largest size [bytes], ten times the size of the largest real robot description."""
 
 MAX_LINKS = 1000
-"""Largest number of links, several times that of the largest real robots."""
+"""Largest number of links, and of joints; real robots have far fewer."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -32,18 +32,18 @@ _FIRST_START_TAG = re.compile(rb'<[A-Za-z_]')
 
 
 class Source(NamedTuple):
-    """The bytes of a robot description, and where they come from."""
+    """The name and the bytes of a robot description."""
 
     name: str
     data: bytes
     encoding: str | None
-    """Encoding of the bytes, or None if their byte order mark or declaration states it."""
+    """Encoding, or None if the byte order mark or the declaration states the encoding."""
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
-    """Read a file, or use XML text as it is."""
+    """Return the bytes of a file or of XML text, or raise a UrdfError."""
     if isinstance(path_or_xml, str) and path_or_xml.lstrip(f'{_BOM} \t\r\n').startswith('<'):
-        # The text is decoded already: the encoding that it declares does not apply to these bytes.
+        # The declared encoding does not apply, because the text is decoded already.
         data = path_or_xml.lstrip(_BOM).encode('utf-8', 'surrogatepass')
         source, kind, size = Source('URDF', data, 'utf-8'), 'text', len(data)
     elif isinstance(path_or_xml, str) and not path_or_xml.strip():
@@ -61,7 +61,7 @@ def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
 
 
 def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
-    """Read at most `MAX_BYTES` + 1 bytes of a file; also return the size of the file."""
+    """Return at most `MAX_BYTES` + 1 bytes of a file, and the size of the file."""
     if not isinstance(os.fspath(path), str):
         raise TypeError(f'expected a path or XML text as str, got {type(path).__name__}')
     name = shortened(os.fspath(path), 250)
@@ -100,7 +100,7 @@ def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
         prefixes = _undeclared_prefixes(parser.error_log)
         if not prefixes:
             raise UrdfError(_syntax_problems(source, error), source.name) from error
-        # All URDF tools of ROS read these files: elements with a prefix cannot be essential.
+        # All URDF tools of ROS accept undeclared prefixes, so these elements are not essential.
         root = etree.fromstring(source.data, _hardened_parser(source.encoding, recover=True))
         warnings += prefixes
 
@@ -141,7 +141,7 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
 
 
 def declared_encoding(data: bytes) -> str:
-    """Return the encoding of a document from its byte order mark or declaration, or UTF-8."""
+    """Return the encoding that the byte order mark or the declaration states, or UTF-8."""
     for mark, name in ((b'\xff\xfe', 'utf-16'), (b'\xfe\xff', 'utf-16')):
         if data.startswith(mark):
             return name
@@ -159,7 +159,7 @@ def blank_declaration(data: bytes) -> bytes:
 
 
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Blank out an XML declaration that only libxml2 rejects; return the source and a warning."""
+    """Replace an XML declaration that only libxml2 rejects; return the source and a warning."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []

@@ -1,10 +1,9 @@
 """
 The commander: sends a reference to the node for every joint state, and records the motion.
 
-The commander sends either accelerations or a full reference. With accelerations, the commander
-closes the control loop by resolved acceleration: the node cancels the dynamics of the robot, and
-the error of every joint obeys ``e'' + kd e' + kp e = 0``. With a full reference, the node closes
-the loop.
+The commander sends accelerations or a full reference. With accelerations, the commander closes the
+control loop by resolved acceleration. The error e of every joint then obeys
+``e'' + kd e' + kp e = 0``. With a full reference, the node closes the loop.
 """
 
 from __future__ import annotations
@@ -60,27 +59,26 @@ class Series:
 
 
 class History:
-    """The motion of n joints and the commands of the node; times begin with the motion [s]."""
+    """The motion of n joints, and the messages of the node; times begin with the motion [s]."""
 
     def __init__(self) -> None:
         self.states = Series()
-        """Positions and desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
+        """Positions, desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
         self.commands = Series()
-        """Commanded efforts [N m or N]; one value per commanded joint in each row."""
+        """Commanded efforts [N m or N]; rows with one value per commanded joint."""
         self.external = Series()
         """Estimated external efforts [N m or N], NaN without an estimate; rows of shape (n,)."""
         self.brakes = Series()
         """Changes of the brakes: 1 when they went on, 0 when they opened."""
         self.arrivals: list[float] = []
-        """Times on the steady clock at which commands were received [s]."""
+        """Arrival times of the commands on the steady clock [s]."""
 
     def command_rate(self, begin: float = -math.inf) -> float:
         """
         Return the rate [Hz] of the commands since ``begin``, a time on the steady clock [s].
 
-        The rate is the slope of a line fitted to the arrivals. A burst of commands after a pause
-        hardly changes this slope. Simply dividing the number of commands by the time would include
-        commands that were queued before ``begin``.
+        The rate is the slope of a line fitted to the arrivals, because a burst of commands after a
+        pause hardly changes this slope.
         """
         times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
         if len(times) < 2 or times[-1] == times[0]:
@@ -100,10 +98,10 @@ def resolved_acceleration(
     reference: tuple[Floats, Floats, Floats], q: Floats, qd: Floats, kp: float, kd: float
 ) -> Floats:
     """
-    Compute the accelerations, shape (n,), that bring the joints back to their reference.
+    Return the accelerations, shape (n,), that bring the joints back to their reference.
 
-    The reference consists of positions, velocities and accelerations. The gains ``kp`` and ``kd``
-    are in 1/s^2 and 1/s.
+    The reference consists of positions, velocities and accelerations. The unit of ``kp`` is 1/s^2,
+    and the unit of ``kd`` is 1/s.
     """
     q_ref, qd_ref, qdd_ref = reference
     return qdd_ref + kd * (qd_ref - qd) + kp * (q_ref - q)
@@ -111,10 +109,10 @@ def resolved_acceleration(
 
 class Commander(Node):
     """
-    Records the robot's motion, and sends references after the first call of `follow`.
+    Records the motion of the robot, and sends references after the first call of `follow`.
 
-    The joints are in the node's order. For every joint state, the commander sends 'accelerations',
-    a 'reference', or no message if ``sends`` is empty.
+    The joints are in the order of the node. ``sends`` is the kind of message that follows every
+    joint state: 'accelerations', 'reference', or '' for no message.
     """
 
     def __init__(self, joint_names: tuple[str, ...], sends: str = 'accelerations') -> None:
@@ -130,7 +128,7 @@ class Commander(Node):
         self.external_efforts = 0
         """Number of messages about external efforts received from the node."""
         self.brakes_on = True
-        """Whether the brakes are on, according to the latest message."""
+        """Whether the brakes are on."""
         self.history = History()
         """Everything recorded since the start of the trajectory."""
         self._joint_names = joint_names
@@ -145,7 +143,7 @@ class Commander(Node):
         self._send = self._make_sender(sends)
         self.create_subscription(JointState, 'joint_states', self._on_state, BEST_EFFORT)
         self.create_subscription(Bool, 'brakes', self._on_brakes, LATCHED)
-        # The queue is deep and reliable, because the commands are counted.
+        # The queue is deep, because the commands are counted.
         self.create_subscription(
             Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 1000
         )
@@ -172,13 +170,13 @@ class Commander(Node):
         ]
 
     def publish(self, topic: str, message: Any) -> None:
-        """Publish a message; its header, if any, gets the stamp of the latest joint state."""
+        """Publish a message; a header gets the stamp of the latest joint state."""
         if hasattr(message, 'header'):
             message.header.stamp = self._stamp
         self._event_publishers[topic].publish(message)
 
     def follow(self, trajectory: Reference, records: bool = True) -> None:
-        """Follow a trajectory from the next joint state on; with ``records``, fill the history."""
+        """Follow a trajectory from the next joint state on; if ``records``, fill the history."""
         self._records = records
         self._began = None
         self._now = self.time = 0.0
@@ -191,7 +189,7 @@ class Commander(Node):
 
     @property
     def now(self) -> float:
-        """Time since the start of the trajectory [s], which also advances without joint states."""
+        """Time since the start of the trajectory [s], even while joint states are missing."""
         waited = self.silence if self.silence > SILENT else 0.0
         self._now = max(self._now, self.time + waited)
         return self._now

@@ -1,8 +1,8 @@
 """
 The demo: runs the node on a simulated robot, and records the motion.
 
-Three processes on this machine communicate over ROS topics: the robot, the node, and this process.
-This process sends references to the node and records the motion.
+Three processes communicate over ROS topics: the robot, the node, and this process. This process
+sends references to the node and records the motion.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
     robot = load_urdf(urdf)
     if options.link and options.link not in robot.link_names:
         raise SimulationError(unknown_name('link', options.link, robot.link_names))
-    # InverseDynamics also compiles the dynamics; the node then loads the code from the cache.
+    # InverseDynamics compiles the dynamics, and the node then loads the code from the cache.
     start = start_pose(robot, InverseDynamics(robot))
     setup = DemoSetup(
         urdf, robot, start, options.duration, options.link, options.friction, options.rate
@@ -101,7 +101,7 @@ def _environment_hint() -> str:
 
 
 def describe_rotors(setup: DemoSetup) -> str:
-    """Say which joints get additional rotor inertia in the demo, and why."""
+    """Explain which joints get rotor inertia in the demo."""
     robot = setup.robot
     rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
@@ -127,7 +127,7 @@ def commands_of(
     node: list[str],
     parameters: Mapping[str, str],
 ) -> dict[str, list[str]]:
-    """Return the arguments of ``python -m`` for robot and node, by name of the process."""
+    """Return the arguments of ``python -m`` for each process, by name of the process."""
     package = 'inverse_dynamics_node'
     parameters = {'update_rate': '0.0', **parameters, **scenario.parameters}
     return {
@@ -155,10 +155,9 @@ def perform(
     """
     Start robot and node, follow the timeline, and end the processes.
 
-    ``commands`` are the arguments of the processes (see `commands_of`). ``stopped`` returns
-    whether the user has asked to stop. The topics are recorded to the folder ``record``, unless it
-    is None. For ``standing``, see `DemoRun.perform`. A live view shows the output of the processes
-    above its table. Return the history and the number of recorded messages.
+    ``commands`` are from `commands_of`. ``stopped`` returns True if the user wants to stop. If
+    ``record`` is not None, the topics are recorded to the folder ``record``. For ``standing``, see
+    `DemoRun.perform`. Return the history and the number of recorded messages.
     """
     with running(commands, view.log if view.is_live else None) as processes:
         start_ros([])
@@ -210,14 +209,12 @@ class DemoRun:
         The node receives the reference ``standing`` from the first joint state on. If ``standing``
         is None, the node holds the robot without a reference until the timeline starts.
         """
-        # Exempt the objects of the libraries from garbage collection, which would take 0.1 s each
-        # time. Commands that arrive during these calls are received in the wait below, before the
-        # measurement starts.
+        # Garbage collection of the objects of the libraries would take 0.1 s each time.
         gc.collect()
         gc.freeze()
         self._wait_until_ready(standing)
         if self.recorder is not None:
-            self.recorder.begin()  # until now the brakes held the arm, and efforts had no effect
+            self.recorder.begin()  # efforts have no effect while the brakes are on
         with self._view.open():
             self._wait_for_topics()
             self._follow(duration)
@@ -290,7 +287,7 @@ class DemoRun:
             self._spin()
 
     def _spin(self) -> None:
-        """Handle ROS events briefly; raise an error if a process or the user ended the run."""
+        """Handle ROS events briefly; raise an error if a process or the user has ended the run."""
         if self._stopped():
             raise KeyboardInterrupt
         for name, process in self._processes.items():

@@ -1,8 +1,8 @@
 """
 The set-up of a scenario: a robot in its start pose, with a suitable load and push.
 
-The sizes of load and push depend on the robot. Load and push are large enough to deflect a joint
-visibly with the gains of the node, and small enough to leave every drive a reserve.
+Load and push are large enough to deflect a joint visibly, and small enough to leave every drive a
+reserve.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
 
-# Gains [1/s^2], [1/s] of the control loop in the commander or the node. The loop is critically
-# damped at 20 rad/s. With these gains, two samples of latency cause an error of less than a
-# millirad, and a command that is held for 20 ms does no harm.
+# Gains [1/s^2], [1/s] of the control loop, which is critically damped at 20 rad/s. With these
+# gains, two samples of latency cause an error of less than a millirad.
 KP, KD = 400.0, 40.0
 DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint under a load or a push
 HEAVIEST = 5.0  # [kg]: heaviest load
 LEAST_LOAD = 0.01  # smallest load as a fraction of the robot's mass
 HARDEST, FIRM = 20.0, 5.0  # [N]: largest push, and a push that is large enough
-LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N]: inertia per dry friction, as in geared motors
-LEAST_DECAY = 0.02  # [s]: viscous friction must not stop a joint faster than the loop reacts
+LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N]: least ratio of inertia to Coulomb friction
+LEAST_DECAY = 0.02  # [s]: least ratio of inertia to viscous friction
 BOX = 0.1  # [m]: side of a cubic load
 GRIP = (0.0, 0.0, 0.05)  # [m]: centre of the load in the frame of the link
 
@@ -49,9 +48,9 @@ class DemoSetup:
     duration: float
     """Duration of the run [s]."""
     link: str = ''
-    """Link to load and to push; if empty, the hand or a link near the hand is chosen."""
+    """Link to load and to push; if empty, a link at or near the hand is chosen."""
     friction: bool = False
-    """Whether the joints have the friction of the URDF, and the node compensates the friction."""
+    """Whether the joints have friction, and the node compensates the friction."""
     rate: float = 500.0
     """Rate of the joint states and of the commands [Hz]."""
 
@@ -60,9 +59,8 @@ class DemoSetup:
         """
         Rotor inertia that the demo adds to each joint, shape (n,) [kg m^2 or kg].
 
-        A joint with friction has a motor and gears. Without enough inertia, even the smallest
-        delay in the friction compensation would make the joint oscillate. If ``friction`` is
-        False, no inertia is added.
+        Without enough inertia, the smallest delay in the friction compensation would make a joint
+        oscillate. If ``friction`` is False, no inertia is added.
         """
         robot = self.robot
         if not self.friction:
@@ -79,7 +77,7 @@ class DemoSetup:
 
     @cached_property
     def slack(self) -> Floats:
-        """Largest position error that dry friction can maintain, shape (n,) [rad or m]."""
+        """Largest position error that Coulomb friction can maintain, shape (n,) [rad or m]."""
         if not self.friction:
             return np.zeros(len(self.start))
         compliance = np.abs(np.linalg.inv(self._mass_matrix(self.dynamics()))) / KP
@@ -102,10 +100,10 @@ class DemoSetup:
 
     def load(self) -> tuple[str, float, Floats]:
         """
-        Choose a load; return its link, mass [kg], and inertia about its centre of mass [kg m^2].
+        Choose a load; return the link, the mass [kg] and the inertia [kg m^2].
 
-        A wrist joint without rotor inertia deflects under a few grams. Among the links that can
-        carry 1 % of the robot's mass, the one closest to the hand therefore gets the load.
+        The inertia is about the centre of mass. The load is on the outermost link that can carry
+        1 % of the robot's mass, because a wrist without rotor inertia deflects under a few grams.
         """
         unit = np.eye(3) * BOX**2 / 6.0
 
@@ -125,10 +123,10 @@ class DemoSetup:
 
     def push(self) -> tuple[str, Floats]:
         """
-        Choose a push; return its link, and the force in the frame of the link [N], shape (3,).
+        Choose a push; return the link, and the force in the link frame [N], shape (3,).
 
-        A wrist may deflect under hardly any force. Among the links that withstand 5 N, the push
-        therefore acts on the one closest to the hand.
+        The push is on the outermost link that withstands 5 N, because a wrist joint may deflect
+        under hardly any force.
         """
         direction = np.ones(3) / np.sqrt(3.0)
 
@@ -139,7 +137,7 @@ class DemoSetup:
         return link, force * direction
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
-        """Compute the joint efforts -J^T F, which balance a push with the force F on a link."""
+        """Return the joint efforts -J^T F that balance the force F on a link."""
         pushed, alone = InverseDynamics(self.robot), InverseDynamics(self.robot)
         pushed.set_external_wrench(link, force)
         difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
@@ -147,10 +145,10 @@ class DemoSetup:
 
     def _place(self, put: Put, limit: float, enough: float) -> tuple[str, float]:
         """
-        Return a link and the largest load or push that this link withstands.
+        Choose a link, and return the largest load or push that the link withstands.
 
-        Among the links that withstand ``enough``, the one closest to the hand is returned. If no
-        link withstands ``enough``, the link that withstands the most is returned.
+        The result is the outermost link that withstands ``enough``. If there is none, the result
+        is the link that withstands the most.
         """
         links = [self.link] if self.link else links_towards_base(self.robot)
         chosen, most = links[0], 0.0
@@ -163,7 +161,7 @@ class DemoSetup:
         return chosen, most
 
     def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
-        """Return the gravity efforts in the start pose, and the change due to a load or push."""
+        """Return the gravity efforts in the start pose, and the effect of a load or push."""
         dynamics = InverseDynamics(self.robot)
         alone = dynamics.gravity_efforts(self.start)
         put(dynamics)

@@ -1,7 +1,7 @@
 """
 The scenario `calibrate`: a robot that differs from its URDF follows a given motion.
 
-The masses of the robot differ from those in the URDF, which leaves out friction and rotors.
+The masses of the robot differ from the masses in the URDF, and the URDF lacks friction and rotors.
 Friction and rotor inertia depend on the inertia of the joints, so that every robot can still move.
 """
 
@@ -26,18 +26,18 @@ from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timel
 from .view import View
 
 SUMMARY = 'identify masses, friction and rotors from a motion, then follow the motion again'
-# `follow` creates the timeline, because the motion depends on an analysis of the robot.
+# `follow` creates the timeline instead of `hold`.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
 MASS = (0.75, 1.35)
-"""Smallest and largest ratio of the true mass of a link to its mass in the URDF."""
+"""Smallest and largest ratio of the true mass of a link to the mass in the URDF."""
 PLACE = (0.85, 1.15)
-"""Smallest and largest ratio of the true centre of mass of a link to its value in the URDF."""
+"""Smallest and largest ratio of the true centre of mass to the value in the URDF."""
 ROTOR = 0.4
-"""Inertia of the rotor relative to the inertia of the joint."""
+"""Inertia of the rotor divided by the inertia of the joint."""
 COULOMB = 3.0
-"""Acceleration whose inertial effort equals the Coulomb friction of the joint [rad/s^2]."""
+"""Coulomb friction divided by the inertia of the joint [rad/s^2 or m/s^2]."""
 DAMPING_SPEED = 1.5
-"""Speed at which viscous friction is as large as Coulomb friction [rad/s]."""
+"""Speed at which viscous friction is as large as Coulomb friction [rad/s or m/s]."""
 LARGEST_FRICTION = 0.05
 """Largest Coulomb friction as a fraction of the effort limit."""
 _SEED = 1979
@@ -58,7 +58,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """Draw the true properties of a robot whose URDF is wrong; all runs draw the same values."""
+    """Draw the true properties of a robot; all runs draw the same values."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):
@@ -83,7 +83,7 @@ def unknown_robot(setup: DemoSetup) -> UnknownRobot:
 
 
 def _friction(robot: RobotModel, damping: Floats, coulomb: Floats) -> dict[str, Friction]:
-    """Return the friction of all joints by name; mimicking joints have no friction."""
+    """Return the friction of all joints by name; mimic joints have no friction."""
     friction = {name: Friction(0.0, 0.0) for name in robot.body_names[1:]}
     for name, viscous, dry in zip(robot.joint_names, damping, coulomb, strict=True):
         friction[name] = Friction(float(viscous), float(dry))
@@ -104,14 +104,14 @@ def follow(
     Start a node and a simulated robot, let the robot follow a motion, and return the history.
 
     ``robot_arguments`` are the path of the URDF and further arguments of the simulated robot.
-    ``node_arguments`` follow ``--ros-args``. ``record`` is the folder to create for a recording,
-    or None. ``title`` describes the run. For the other arguments, see `perform`.
+    ``node_arguments`` follow ``--ros-args``. ``record`` is a new folder for a recording, or None.
+    ``title`` describes the run. For the other arguments, see `perform`.
     """
     view = View(setup.robot, f'{setup.robot.name}: {title}')
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
     start = ['--start', *(f'{x:.9f}' for x in setup.start)]  # argparse rejects -1e-5
     commands = commands_of(_SCENARIO, options.rate, [*robot_arguments, *start], node_arguments, {})
-    # The model is wrong: the robot would sink when the brakes open, unless the node holds it.
+    # The node holds the robot from the start, because the model is wrong and the robot would sink.
     held = standing(setup)
     return perform(_SCENARIO, timeline, view, commands, options, stopped, record, held)[0]
 
@@ -127,9 +127,9 @@ def check_identification(
     setup: DemoSetup, before: Floats, after: Floats, accepted: bool
 ) -> ScenarioResult:
     """
-    Compare the RMS tracking errors of the joints, shape (n,), before and after the calibration.
+    Compare the RMS tracking errors, shape (n,), before and after the calibration.
 
-    ``accepted`` states whether the identified model is better than the URDF on unseen data.
+    ``accepted`` is True if the identified model is better than the URDF on unseen data.
     """
     slides = setup.robot.is_prismatic_joint
     unit = 'mm' if slides.all() else 'mrad (mm)' if slides.any() else 'mrad'

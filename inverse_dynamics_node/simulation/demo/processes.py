@@ -16,8 +16,8 @@ import threading
 from ..mujoco.model import SimulationError
 
 LOCK_PORT = 32768  # domain_coordinator reserves a domain by binding to the port LOCK_PORT + domain
-STOP_TIMEOUT = 5.0  # [s]: a node ramps its efforts down before it ends
-PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal to receive when the parent dies
+STOP_TIMEOUT = 5.0  # [s]: time for a node to ramp its efforts down
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2)
 
 Processes = dict[str, 'subprocess.Popen[bytes]']
 
@@ -30,13 +30,13 @@ def running(
     Run child processes within a context; end the processes in reverse order after the context.
 
     ``commands`` contains arguments of ``python -m``, by name of the process. ``print_line`` is
-    called with every line that a process prints. One thread per process makes these calls. Without
-    ``print_line``, the child processes inherit standard output.
+    called with every line that a process prints, in one thread per process. Without
+    ``print_line``, the processes inherit standard output.
     """
     processes: Processes = {}
     try:
         for name, command in commands.items():
-            # Each child has its own session: Ctrl-C reaches only the parent, which ends the child.
+            # Each child has its own session, so that Ctrl-C reaches only the parent.
             processes[name] = subprocess.Popen(
                 [sys.executable, '-m', *command],
                 start_new_session=True,
@@ -59,7 +59,7 @@ def _forward(process: subprocess.Popen[bytes], print_line: Callable[[str], None]
 
 
 def _end_with_parent() -> None:
-    """Let the kernel end this process when its parent ends, even if the parent is killed."""
+    """Let the kernel end this process when the parent ends, even if the parent is killed."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 

@@ -1,5 +1,5 @@
 """
-Records topics, and writes the messages to a bag that ROS 2 tools can read.
+Records topics to a bag of ROS 2.
 
 Messages are kept in memory and written at the end, so that the disk cannot delay the control loop.
 """
@@ -27,8 +27,8 @@ class Recorder:
     """
     Records topics through the subscriptions of one node.
 
-    A message with a header is recorded with its own stamp. Any other message is recorded with the
-    stamp of the latest joint state, because the message most likely responds to that joint state.
+    A message with a header is recorded with its stamp. A message without a header is recorded with
+    the stamp of the latest joint state, because the message probably responds to this joint state.
     ``topics`` maps topics to message classes. The topics in ``latched`` are transient local.
     """
 

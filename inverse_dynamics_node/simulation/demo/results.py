@@ -1,4 +1,4 @@
-"""Judges the runs of the demo by comparing measurements with limits."""
+"""Judges the runs of the demo."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .demo_setup import DemoSetup
 from .view import name_width
 
 MOVING_LIMIT, REST_LIMIT = 0.010, 0.001  # [rad or m]
-HARMLESS = 0.05  # [s]: longest gap between commands that leaves the tracking errors within limits
-SETTLED = 1.5  # [s]: settling time of the errors after a change
-STOPPED = 1.0  # [s]: time allowed until efforts are zero: twice (state timeout + stop ramp)
-LEAST_FACTOR = 5.0  # least factor by which a known load, an IMU or a calibration reduces errors
-CONTACT_LIMIT = 0.05  # largest error of an estimated push, relative to its largest joint effort
+HARMLESS = 0.05  # [s]: longest gap between commands that does not affect the verdict
+SETTLED = 1.5  # [s]: settling time after a change
+STOPPED = 1.0  # [s]: efforts must be zero after this time without joint states
+LEAST_FACTOR = 5.0  # least improvement by a known load, an IMU or a calibration
+CONTACT_LIMIT = 0.05  # largest error of an estimated push, relative to the largest effort
 RATE_LIMIT = 0.02  # largest relative error of the command rate
-REST_FRACTION = 0.2  # fraction of a `track` run for the final rest, whose second half is judged
+REST_FRACTION = 0.2  # final fraction of a `track` run in which the arm rests
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ScenarioResult:
     failures: tuple[str, ...] = ()
     """Reasons why the run failed; empty if the run passed."""
     excuse: str = ''
-    """Possible cause of the failures outside the node; empty if none is known."""
+    """Cause of the failures outside the node, if known."""
 
     def __str__(self) -> str:
         if self.failures:
@@ -59,12 +59,12 @@ def worst(setup: DemoSetup, errors: Floats) -> Distance:
 
 
 def result_of(words: str, *checks: tuple[bool, str]) -> ScenarioResult:
-    """Return a result that passes if all checks pass; each check has a text for a failure."""
+    """Return a result; each check consists of a flag for success and a text for failure."""
     return ScenarioResult(words, tuple(failure for passed, failure in checks if not passed))
 
 
 def excuse(history: History) -> str:
-    """Explain a failure by the longest gap between commands, if that gap was too long."""
+    """Return a sentence about the longest gap between commands, or '' if the gap is harmless."""
     waited = float(np.max(np.diff(history.commands.times), initial=0.0))
     if waited <= HARMLESS:
         return ''
@@ -96,7 +96,7 @@ def check_hold(setup: DemoSetup, history: History) -> ScenarioResult:
 def check_payload(
     setup: DemoSetup, history: History, picked_up: float, sent: float
 ) -> ScenarioResult:
-    """Judge a run with a load: the resulting error must vanish once the node knows the load."""
+    """Judge a run with a load: the error must vanish once the node knows the load."""
     before = worst(setup, history.largest_error(0.0, picked_up))
     unknown = worst(setup, history.largest_error(picked_up, sent))
     known = worst(setup, history.largest_error(sent + SETTLED, np.inf))
@@ -123,7 +123,7 @@ def check_payload(
 def check_push(
     setup: DemoSetup, history: History, link: str, force: Floats, began: float, ended: float
 ) -> ScenarioResult:
-    """Judge a push: external efforts must first be zero, and then -J^T F during the push."""
+    """Judge a push: external efforts must be zero before, and -J^T F during the push."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
     if not len(rows) or not len(states):
@@ -174,8 +174,7 @@ def check_sensor_lost(
     setup: DemoSetup, history: History, lost: float, back: float
 ) -> ScenarioResult:
     """Judge a loss of joint states: efforts must become zero, and the arm must stay in place."""
-    # The window ends early: when joint states resume, the times of the history follow the stamps
-    # again, and the stamps may lag behind the clock of the machine.
+    # The window ends early, because stamps may lag behind the clock of the machine.
     commands = np.abs(history.commands.between(lost + STOPPED, back - 0.1))
     left = float(np.max(commands, initial=0.0))
     before = float(np.max(np.abs(history.commands.between(0.0, lost)), initial=0.0))
@@ -207,7 +206,7 @@ def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
     rest = history.largest_error((1.0 - 0.5 * REST_FRACTION) * duration, math.inf)
     wide = name_width(robot)
     limits = tracking_limits(setup.slack)
-    # Without friction, all joints have the same limits, which are in the verdict.
+    # Without friction, all joints have the same limits, which the verdict contains.
     head = ('moving', 'limit', 'at rest', 'limit') if setup.friction else ('moving', 'at rest')
     widths = (13, 14, 15, 15) if setup.friction else (13, 15)
     columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
@@ -229,11 +228,12 @@ def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
 
 def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
     """
-    Return the largest permitted errors in motion and at rest, both of shape (n,) [rad or m].
+    Return the largest permitted errors in motion and at rest, shapes (n,) [rad or m].
 
-    ``slack``, shape (n,), is the largest position error that dry friction can maintain [rad or m].
+    ``slack`` is the largest position error that Coulomb friction can maintain, shape (n,)
+    [rad or m].
     """
-    # When a joint breaks away from dry friction, it overshoots by as much as it lagged before.
+    # A joint that breaks away from Coulomb friction overshoots by as much as it lagged before.
     return MOVING_LIMIT + 2.0 * slack, REST_LIMIT + slack
 
 
@@ -258,7 +258,7 @@ def find_failures(
     expected_rate: float,
     slack: Floats | float = 0.0,
 ) -> list[str]:
-    """Describe joint errors beyond the limits of `tracking_limits`, and a wrong command rate."""
+    """Describe errors beyond `tracking_limits`, and a wrong command rate."""
     failures = []
     moving_limits, rest_limits = tracking_limits(slack + np.zeros(len(joint_names)))
     for when, errors, limits in (

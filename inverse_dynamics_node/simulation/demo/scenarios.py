@@ -1,8 +1,8 @@
 """
 The scenarios of the demo, by name.
 
-A scenario defines the settings of the node and the kind of reference that the node receives. A
-timeline is a scenario prepared for one robot: trajectory, events with their times, and verdict.
+A scenario consists of settings for the node and for the simulated robot. A timeline is a scenario
+prepared for one robot: a trajectory, events, and a function that judges the run.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ class Timeline:
     events: tuple[Event, ...] = ()
     """Events, sorted by time."""
     begins: str = ''
-    """Description of the time before the first event."""
+    """Description of the run before the first event."""
     note: str = ''
     """Line to print before the start."""
     expected: Callable[[Floats, Floats], Floats] | None = None
-    """Returns the true external efforts for times, shape (k,), and positions, shape (k, n)."""
+    """Returns the true external efforts at times, shape (k,), and positions, shape (k, n)."""
     without: tuple[Floats, Floats] | None = None
-    """Times [s], shape (k,), and simulated position errors without the IMU, shape (k, n)."""
+    """Times [s], shape (k,), and position errors of a simulation without an IMU, shape (k, n)."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Scenario:
     robot: tuple[str, ...] = ()
     """Options of the simulated robot."""
     least_duration: float = 10.0
-    """Shortest duration that is long enough for all events [s]."""
+    """Shortest possible duration [s]."""
 
 
 def standing(setup: DemoSetup) -> Oscillation:
@@ -107,7 +107,7 @@ def hold(setup: DemoSetup) -> Timeline:
 
 
 def track(setup: DemoSetup) -> Timeline:
-    """Prepare a run in which the arm first moves and then rests."""
+    """Prepare a run in which the arm moves and then rests."""
     moving = (1.0 - REST_FRACTION) * setup.duration
     trajectory = plan(setup.robot, setup.dynamics(), setup.start, moving)
     return Timeline(
@@ -118,7 +118,7 @@ def track(setup: DemoSetup) -> Timeline:
 
 
 def payload(setup: DemoSetup) -> Timeline:
-    """Prepare a run in which the arm picks up a load that is unknown to the node at first."""
+    """Prepare a run in which the arm picks up a load before the node knows the load."""
     link, mass, inertia = setup.load()
     loaded = setup.dynamics()
     loaded.set_payload(link, mass, GRIP, inertia)
@@ -152,7 +152,7 @@ def payload(setup: DemoSetup) -> Timeline:
 
 
 def push(setup: DemoSetup) -> Timeline:
-    """Prepare a run in which a force temporarily pushes a link."""
+    """Prepare a run in which a force pushes a link for a while."""
     link, force = setup.push()
     began, ended = 0.3 * setup.duration, 0.6 * setup.duration
     x, y, z = force.tolist()
@@ -202,8 +202,9 @@ def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tup
     """
     Simulate computed torque on a tilting base without an IMU; return times and position errors.
 
-    The base begins to tilt at the time ``began`` [s]. Its final ``attitude`` is a rotation vector
-    from level, shape (3,) [rad]. Times [s] have shape (k,), and errors [rad or m] shape (k, n).
+    The base begins to tilt at the time ``began`` [s]. The final ``attitude`` is a rotation vector
+    relative to the level base, shape (3,) [rad]. Times have shape (k,) [s], and errors have shape
+    (k, n) [rad or m].
     """
     simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False
@@ -239,8 +240,7 @@ def sensor_lost(setup: DemoSetup) -> Timeline:
 
 
 COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
-# The simulated hardware shares the machine with other processes, and may pause for longer than
-# real hardware.
+# The simulated hardware shares the machine with other processes, and may pause for a while.
 PATIENT = {'state_timeout': '0.5'}
 SCENARIOS = {
     'track': Scenario(

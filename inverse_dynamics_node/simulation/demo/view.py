@@ -17,8 +17,8 @@ from rich.text import Text
 
 from ...robot.model import Floats, RobotModel
 
-LIVE_PERIOD = 0.2  # [s]: drawing delays the control loop by a few milliseconds
-FULL_ERROR = 0.1  # [rad or m]: error that fills a bar; each 10 % of the bar is a factor of 2.5
+LIVE_PERIOD = 0.2  # [s]: period of drawing, which delays the control loop by milliseconds
+FULL_ERROR = 0.1  # [rad or m]: error that fills a bar; the scale is logarithmic
 WIDTH = 12  # characters in a bar
 
 
@@ -56,7 +56,7 @@ class View:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Draw on the terminal during this context; the last table remains visible."""
+        """Draw on the terminal within this context; the last table remains visible."""
         if not self.is_live:
             yield
             return
@@ -65,12 +65,12 @@ class View:
 
     @property
     def is_due(self) -> bool:
-        """Whether the live table is due to be drawn again; always False for plain lines."""
+        """Whether it is time to draw the live table again."""
         return self.is_live and time.monotonic() >= self._due
 
     @property
     def is_live(self) -> bool:
-        """Whether the run is shown as a live table on a terminal."""
+        """Whether the view is a live table on a terminal."""
         return bool(self._console.is_terminal)
 
     def draw(self, snapshot: Snapshot) -> None:
@@ -101,7 +101,7 @@ class View:
         return Group(head, Text(snapshot.words, 'yellow'), table)
 
     def _cells(self, snapshot: Snapshot) -> list[tuple[str, str, str, str, str]]:
-        """Return name, position, desired position, error and effort of each joint as text."""
+        """Return name, position, desired position, error and effort of each joint."""
         joints = (self.robot.joint_names, self._units, snapshot.q, snapshot.desired)
         return [
             (

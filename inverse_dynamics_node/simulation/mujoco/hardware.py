@@ -15,8 +15,8 @@ from ...robot.model import Booleans, Floats, RobotModel
 from .model import compile_model, LARGEST_STEP, SimulationError
 from .world import World
 
-LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: 1/1000 of the inertia of the smallest finger joint
-LEAST_INDEPENDENCE = 1e-9  # least eigenvalue; if two joints move as one, rounding leaves 1e-16
+LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: the smallest finger joints have 1000 times as much
+LEAST_INDEPENDENCE = 1e-9  # least eigenvalue; rounding leaves 1e-16 if two joints move as one
 DRIVE_GAINS = 900.0, 60.0  # [1/s^2], [1/s] of the position controller: critically damped, 5 Hz
 HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2]: held joints have springs of 10 Hz
 
@@ -69,7 +69,7 @@ class MujocoRobot:
             for i in range(self._model.njnt)
         }
         self.state_names = tuple(sorted(address))
-        """All movable joints, including mimicking joints, sorted by name as in many drivers."""
+        """All movable joints, including mimic joints, sorted by name."""
         self._state_order = [address[name] for name in self.state_names]
         self._order = [address[name] for name in robot.joint_names]
         self._model.dof_armature[self._order] = armature
@@ -137,8 +137,8 @@ class MujocoRobot:
         Advance the simulation by a few milliseconds, unless a joint would become too fast.
 
         Return None if the simulation has advanced. If a joint would exceed its speed bound,
-        restore the previous state and return the speeds that the joints would have reached. Speeds
-        and bounds have shape (n,) [rad/s or m/s].
+        restore the previous state, and return the speeds that the joints would have reached.
+        Speeds and bounds have shape (n,) [rad/s or m/s].
         """
         data = self._data
         before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
@@ -167,7 +167,7 @@ class MujocoRobot:
         return accelerations
 
     def mass_matrix(self) -> Floats:
-        """Return the current mass matrix, including mimicking joints, shape (n, n)."""
+        """Return the current mass matrix, including mimic joints, shape (n, n)."""
         velocities = self._coupling.T.copy()
         momenta = np.zeros(velocities.shape)
         for row, velocity in zip(momenta, velocities, strict=True):
@@ -176,7 +176,7 @@ class MujocoRobot:
         return inertia
 
     def bias_efforts(self) -> Floats:
-        """Return efforts due to gravity and velocities, including mimicking joints, shape (n,)."""
+        """Return efforts due to gravity and velocities, including mimic joints, shape (n,)."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
         return efforts
 
@@ -203,7 +203,7 @@ class MujocoRobot:
 
 
 def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
-    """Raise a `SimulationError` if a joint has no inertia: its acceleration would be infinite."""
+    """Raise a `SimulationError` if a joint has no inertia."""
     idle = _without_inertia(mass_matrix)
     if idle.any():
         names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))

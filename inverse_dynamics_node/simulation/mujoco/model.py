@@ -4,9 +4,10 @@ Compiles a URDF to a MuJoCo model with exactly the same dynamics.
 MuJoCo parses the URDF itself, so that an error in our own loader appears as a tracking error. The
 URDF needs four changes:
 
-- Shapes are removed: they need mesh files, and MuJoCo would give them a mass.
-- Quaternions become roll, pitch and yaw: MuJoCo ignores ``quat_xyzw``.
-- Links on fixed joints remain separate bodies: merging would drop the inertia of massless links.
+- Shapes are removed, because shapes need mesh files and would have a mass in MuJoCo.
+- Quaternions become roll, pitch and yaw, because MuJoCo ignores ``quat_xyzw``.
+- Links on fixed joints remain separate bodies, because merging would drop the inertia of massless
+  links.
 - During compilation, placeholders replace masses and inertias that MuJoCo rejects.
 """
 
@@ -44,7 +45,7 @@ def compile_model(urdf: str | Path, friction: bool = True) -> Any:
 
     Without ``friction``, the joints have neither the damping nor the Coulomb friction of the URDF.
     The model has one body per link except the root, and one degree of freedom per movable joint.
-    Equality constraints couple mimicking joints. Raise a `SimulationError` if MuJoCo is too old or
+    Equality constraints couple mimic joints. Raise a `SimulationError` if MuJoCo is too old or
     rejects the robot.
     """
     if tuple(map(int, mujoco.__version__.split('.')[:2])) < OLDEST_MUJOCO:
@@ -120,7 +121,7 @@ def _write_placeholder(link: Element) -> None:
         for element in inertial.findall(name):
             inertial.remove(element)
     etree.SubElement(inertial, 'mass', value='1')
-    # Distinct moments in MuJoCo's descending order: body_iquat is then the rotation of the origin.
+    # If the moments are distinct and descending, body_iquat is the rotation of the origin.
     moments = {'ixx': '1.3', 'iyy': '1.2', 'izz': '1.1', 'ixy': '0', 'ixz': '0', 'iyz': '0'}
     etree.SubElement(inertial, 'inertia', **moments)
 
@@ -129,7 +130,7 @@ def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) ->
     for link, (mass, inertia) in set_aside.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link)
         if body <= 0:
-            continue  # the root link is fixed to the ground: its mass has no effect
+            continue  # the mass of the root link has no effect
         turned = np.zeros(4)
         model.body_mass[body] = mass
         model.body_inertia[body], principal = principal_axes(inertia)
@@ -150,11 +151,11 @@ def principal_axes(inertia: Floats) -> tuple[Floats, Floats]:
 def _set_options(model: Any) -> None:
     model.opt.gravity[:] = STANDARD_GRAVITY
     model.opt.timestep = LARGEST_STEP
-    # The damping of a small joint may be large relative to its inertia: integrate it implicitly.
+    # Integrate damping implicitly, because a joint with a small inertia may have large damping.
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverging state must be an error, not a jump back to the start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # A mimicking joint stops with its master; its own limits often contradict the master's.
+    # A mimic joint stops with its master, and the limits of a mimic joint are often wrong.
     model.jnt_limited[model.eq_obj1id] = False
     model.eq_solimp[:, :2] = STIFFEST
     model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the smallest value that MuJoCo considers stable

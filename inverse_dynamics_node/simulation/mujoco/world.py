@@ -29,11 +29,11 @@ TILT_DURATION = 3.0  # [s]: duration of a change of attitude
 
 class World:
     """
-    Everything that acts on a robot except its drives.
+    Payloads, pushes and base motion of a simulated robot.
 
-    The MuJoCo model has a body for every link except the root link ``root``, which is fixed to the
-    ground. Inertias and gravity of the model are modified, and ``xfrc_applied`` of the data is
-    overwritten. Loads and pushes on the root link have no effect.
+    Inertias and gravity of ``model`` are modified, and ``xfrc_applied`` of ``data`` is
+    overwritten. The root link ``root`` is fixed to the ground, so that loads and pushes on this
+    link have no effect.
     """
 
     def __init__(self, model: Any, data: Any, root: str) -> None:
@@ -55,12 +55,12 @@ class World:
         self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
     ) -> None:
         """
-        Attach a rigid load to a link, replacing any previous load; a mass of 0 removes the load.
+        Attach a rigid load to a link, and replace any previous load.
 
-        The mass is in kg. The centre of mass, shape (3,), is in the link's frame [m]. The inertia,
-        shape (3, 3), is about the centre of mass, along the link's axes [kg m^2]. Raise a
-        `SimulationError` if the link does not exist, and a `ConfigurationError` if no rigid body
-        has such a mass and inertia.
+        A mass [kg] of 0 removes the load. The centre of mass, shape (3,), is in the link frame
+        [m]. The inertia, shape (3, 3), is about the centre of mass, in link axes [kg m^2]. Raise a
+        `SimulationError` if the link does not exist, and a `ConfigurationError` if the mass or the
+        inertia is impossible.
         """
         body = self._body(link)
         payload = RigidBody(*read_inertial(mass, com, inertia))
@@ -77,7 +77,7 @@ class World:
         """
         Apply a force [N] and a moment [N m] to a link until the next call for this link.
 
-        Both vectors, shape (3,), are in the link's frame. The force acts at the frame's origin.
+        The vectors, shape (3,), are in the link frame. The force acts at the origin of the frame.
         Raise a `SimulationError` if the link does not exist, and a `ConfigurationError` if a
         vector does not consist of three finite numbers.
         """
@@ -110,8 +110,8 @@ class World:
         if self._angular_velocity.any() or self._angular_acceleration.any():
             data.xfrc_applied[:] = self._inertial_wrenches()
         for body, (force, moment) in self._wrenches.items():
-            R = data.xmat[body].reshape(3, 3)  # rotates from the link's frame to the world frame
-            arm = data.xpos[body] - data.xipos[body]  # MuJoCo's moments are about the mass centre
+            R = data.xmat[body].reshape(3, 3)  # from the link frame to the world frame
+            arm = data.xpos[body] - data.xipos[body]  # moments are about the centre of mass
             data.xfrc_applied[body, :3] += R @ force
             data.xfrc_applied[body, 3:] += R @ moment + np.cross(arm, R @ force)
 
@@ -159,7 +159,7 @@ def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Fl
     model.body_mass[body] = mass
     model.body_ipos[body] = com
     model.body_inertia[body], model.body_iquat[body] = principal_axes(inertia)
-    # Clear the optimization flag: MuJoCo's compiler derived it from the link without its load.
+    # MuJoCo's compiler has set this optimization flag for the link without a load.
     model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
@@ -183,7 +183,11 @@ class Tilt:
     """Rotation vector of the complete latest turn, in the base frame, shape (3,) [rad]."""
 
     def turn_to(self, attitude: ArrayLike, time: float) -> None:
-        """Start a turn at a time [s]; the final attitude is a rotation vector from level [rad]."""
+        """
+        Start to turn to an attitude at a time [s].
+
+        The attitude is a rotation vector relative to the level base, shape (3,) [rad].
+        """
         self.level = self.attitude(time)
         self.began = time
         quaternion, turn = np.zeros(4), np.zeros(3)
