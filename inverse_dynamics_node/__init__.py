@@ -21,15 +21,10 @@ if TYPE_CHECKING:
     from .robot.model import RobotModel
     from .robot.urdf import load_urdf
 
-_HOMES = {
-    'ConfigurationError': 'errors',
-    'InverseDynamics': 'dynamics.inverse_dynamics',
-    'InverseDynamicsError': 'errors',
-    'JointStateError': 'errors',
-    'RobotModel': 'robot.model',
+_HOMES = {  # of names that are not in errors.py
     'GeneratedDynamics': 'dynamics.generated.generated_dynamics',
-    'TrajectoryError': 'errors',
-    'UrdfError': 'errors',
+    'InverseDynamics': 'dynamics.inverse_dynamics',
+    'RobotModel': 'robot.model',
     'load_urdf': 'robot.urdf',
 }
 
@@ -47,6 +42,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(f'.{_HOMES[name]}', __name__), name)
+    return getattr(import_module(f'.{_HOMES.get(name, "errors")}', __name__), name)

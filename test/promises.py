@@ -183,7 +183,7 @@ class Promises:
             require((change <= ROUNDING).all(), 'a fall begins with a step', change)
         else:
             self.fallen += min(max(0.0, passed), self.base)
-            advanced = self.node.loop.controller.ramp_step
+            advanced = self.node.loop.controller.shaper.clock.step
             self.ramp_passed += advanced
             require(advanced <= step + 1e-9, 'a fall catches up', advanced, step)
         self.left = max(0.0, 1.0 - self.ramp_passed / self.fall_time) * self.top

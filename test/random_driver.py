@@ -27,6 +27,7 @@ from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings,
 import numpy as np
 from promises import BrokenPromiseError, Promises
 from robot_files import ROOT
+from states import store_state
 
 TEXT = (ROOT / 'test/robots/seven_dof.urdf').read_text()
 HEAVIER = re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', TEXT)
@@ -96,7 +97,7 @@ class Node:
         self.robot = 1 - self.robot
         old, self.loop = self.loop, self.make_loop()
         self.apply()
-        self.loop.continue_from(old)
+        self.loop.continue_from(old, is_active=True)
 
     def set_payload(self, now, mass):
         self.loop.loads.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
@@ -232,7 +233,9 @@ class Sequence:
         sign = -1.0 if self.node.has_wrong_sign else 1.0
         velocities = [sign * qd[k] for k in joints] if self.has_velocities else []
         with contextlib.suppress(InverseDynamicsError):
-            self.node.loop.collector.update(self.now, names, [q[k] for k in joints], velocities)
+            store_state(
+                self.node.loop.collector, self.now, names, [q[k] for k in joints], velocities
+            )
         if not self.node.rate:
             self.step()
 

@@ -4,6 +4,7 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 import numpy as np
+from states import store_state
 
 PERIOD = 0.005  # [s]; of joint states and commands
 
@@ -37,7 +38,7 @@ class SimulatedArm:
     def step(self):
         noise = self.noise * self._random.standard_normal(len(self.q))
         names = self.robot.joint_names
-        self.loop.collector.update(self.time, names, self.q, self.qd + noise)
+        store_state(self.loop.collector, self.time, names, self.q, self.qd + noise)
         self.hardware.command(self.loop.step(self.time).efforts)
         self.hardware.advance(PERIOD)
         self.time += PERIOD

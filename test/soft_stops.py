@@ -5,6 +5,7 @@ from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Settings
 import numpy as np
 from robot_files import real_robots, ROOT
+from states import store_state
 
 _REAL = {path.stem: path for path in real_robots()}
 # Each arm with the link at its tip, and a pose in which it is stretched out horizontally.
@@ -83,7 +84,9 @@ class SoftStop:
             late = self._measured[max(0, len(self._measured) - 1 - round(DELAY * self.rate))]
             noise = NOISE * self.random.standard_normal(len(q))
             if self.time <= self.lost_at:
-                loop.collector.update(self.time, robot.joint_names, q, self.sign * late + noise)
+                store_state(
+                    loop.collector, self.time, robot.joint_names, q, self.sign * late + noise
+                )
             if self.time >= STOP and not loop.controller.is_stopping:
                 loop.controller.stop()
             command = loop.step(self.time).efforts.copy()

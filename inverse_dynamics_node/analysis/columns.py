@@ -32,11 +32,6 @@ INDEPENDENT = 1e-8
 STATES_AT_ONCE = 2000  # limits the memory for regressors
 
 
-def direction_of(qd: Floats, width: Floats | float) -> Floats:
-    """Return ``tanh(qd / width)``, the smoothed direction of motion."""
-    return np.asarray(np.tanh(qd / width))
-
-
 def friction_columns(
     qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
 ) -> Floats:
@@ -49,7 +44,7 @@ def friction_columns(
     efforts.
 
     """
-    direction = direction_of(qd, width)
+    direction = np.tanh(qd / width)
     steps = smooth(np.column_stack([direction, load * direction]))
     return np.column_stack([qd, steps, np.ones_like(qd)])
 

@@ -40,8 +40,5 @@ def node_parameters(
 
 def _decimal(value: float) -> str:
     """Format a number with a decimal point, because ROS would read `1` as an integer."""
-    text = f'{value:.10g}'
-    if 'e' in text:
-        mantissa, exponent = text.split('e')
-        return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'
-    return text if '.' in text else text + '.0'
+    mantissa, e, exponent = f'{value:.10g}'.partition('e')
+    return mantissa + ('' if '.' in mantissa else '.0') + e + exponent

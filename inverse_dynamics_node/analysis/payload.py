@@ -5,9 +5,9 @@ The robot repeats the same motion in a loaded run and in an empty run. The diffe
 efforts is due to the payload, because friction, offsets and errors of link masses cancel. The
 efforts are linear in the ten inertial parameters of the payload.
 
-Without an empty run, the inertial parameters of the links are unknown as well. A prior assumes
-errors that are usual in robot descriptions. The standard errors of the payload include the effect
-of these errors.
+Without an empty run, the inertial parameters of the links are estimated as well. A prior allows
+for errors that are usual in robot descriptions. The standard errors of the payload include the
+effect of these errors.
 """
 
 from __future__ import annotations
@@ -29,13 +29,7 @@ from ..robot.rigid_body import (
     rigid_body,
     RigidBody,
 )
-from .columns import (
-    body_columns,
-    direction_of,
-    moment_matrices,
-    payload_columns,
-    SECOND_MOMENTS,
-)
+from .columns import body_columns, moment_matrices, payload_columns, SECOND_MOMENTS
 from .identification.fit import Prior, weights_of
 from .identification.preparation import measured_joints, prepare_all
 from .recordings.resampling import pieces, Resampler, resampler
@@ -144,9 +138,9 @@ def measure_payload(
     Measure the payload on a link from recordings with and without the payload.
 
     Both recordings must contain the same motion, or the same poses. Without the `empty` recording,
-    the masses of the robot description must be accurate. The robot model must not contain the
-    payload. `gravity` is the free-fall acceleration in the base frame [m/s^2]. Raises
-    RecordingError if a recording is too short, or if the two motions differ.
+    a prior allows for the usual errors of link masses, so the standard errors are larger. The
+    robot model must not contain the payload. `gravity` is the free-fall acceleration in the base
+    frame [m/s^2]. Raises RecordingError if a recording is too short, or if the two motions differ.
 
     """
     runs = [loaded] if empty is None else [loaded, empty]
@@ -237,8 +231,8 @@ def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, 
     is_near: Booleans = np.asarray((np.abs(points - others[index]) < NEAR).all(axis=1))
     if np.mean(is_near) < LEAST_MATCHED:
         raise RecordingError(
-            f'the two runs are different motions: {np.mean(is_near):.0%} of the loaded states '
-            f'match the empty run within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s), expected at '
+            f'the two runs are different motions: only {np.mean(is_near):.0%} of the loaded run '
+            f'matches the empty run within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s), expected at '
             f'least {LEAST_MATCHED:.0%}; record the same motion or poses with and without payload'
         )
     q, qd, qdd, efforts = (x[index] for x in (empty.q, empty.qd, empty.qdd, empty.efforts))
@@ -274,7 +268,7 @@ def _rows(
         return _Rows(loaded.times, payload, links, ones[..., None], arm, target, block)
     place = (loaded.times - loaded.times[0]) / float(np.ptp(loaded.times))  # 0 to 1
     speed = loaded.qd[:, joints]
-    direction = direction_of(speed, WIDTH)
+    direction = np.tanh(speed / WIDTH)
     continuous = [ones, ones * place[:, None], speed]
     if empty is None:
         continuous.append(loaded.qdd[:, joints])

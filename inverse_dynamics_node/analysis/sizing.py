@@ -141,19 +141,11 @@ def explore(
         def size(poses: Floats, joint: int = joint) -> Floats:
             return np.asarray(np.abs(dynamics.gravity_efforts(poses)[:, joint]))
 
-        tops = [
+        tops = []
+        for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]:
             # Set unrelated joints to zero, because the pose is then easier to imagine.
-            _climb(
-                size,
-                np.where(related, poses[k], np.clip(0.0, lower, upper)),
-                nearest,
-                lower,
-                upper,
-                noise,
-                windows,
-            )
-            for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]
-        ]
+            start = np.where(related, poses[k], np.clip(0.0, lower, upper))
+            tops.append(_climb(size, start, nearest, lower, upper, noise, windows))
         # Choose the first pose, unless the effort in another pose is clearly larger.
         heights = size(np.array(tops))
         found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
@@ -164,7 +156,7 @@ def explore(
         np.concatenate([worst, poses]),
         np.concatenate([dynamics.gravity_efforts(worst), efforts]),
         robot.effort_limits,
-        most_joints < n or (starts, windows) != (_STARTS, _WINDOWS),
+        starts < _STARTS,
     )
 
 

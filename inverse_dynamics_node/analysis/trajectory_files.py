@@ -78,7 +78,9 @@ def read_trajectory(
             trajectory, notes = _from_yaml(path.read_text(encoding='utf-8-sig'))
     except UnicodeDecodeError:
         kinds = '.yaml, .json, .csv, .mcap or .db3'
-        raise TrajectoryError(f'{path}: is not a text file, expected {kinds}') from None
+        raise TrajectoryError(
+            f'{path}: is neither text nor a recording, expected {kinds}'
+        ) from None
     except RecordingError as error:  # the message already contains the path
         raise TrajectoryError(str(error)) from None
     except TrajectoryError as error:
@@ -86,7 +88,7 @@ def read_trajectory(
     times = trajectory.times
     if len(times) and LATEST_START < times[0] < np.inf:
         # Printed and written tables have too few digits for clock times.
-        notes += (f'times start at the first point, which was at {times[0]:.3f} s',)
+        notes += (f'times are counted from the first point, which was at {times[0]:.3f} s',)
         trajectory = trajectory._replace(times=times - times[0])
     return LoadedTrajectory(trajectory, notes)
 
@@ -187,7 +189,9 @@ def _documents(text: str) -> Iterator[Any]:
         elif isinstance(event, yaml.CollectionStartEvent):
             if len(opened) == _DEEPEST:
                 line = event.start_mark.line + 1
-                raise TrajectoryError(f'line {line}: more than {_DEEPEST} levels of lists')
+                raise TrajectoryError(
+                    f'line {line}: lists are nested more than {_DEEPEST} levels deep'
+                )
             opened.append((type(event), event.anchor, content))
             content = []
             continue
@@ -236,7 +240,7 @@ def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
 def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
     """Return the times and rows of a document with plain lists."""
     if not isinstance(document.get('times'), list):
-        raise TrajectoryError('no list of times [s]')
+        raise TrajectoryError('no list of times; expected times [s], joint_names and positions')
     times = _numbers(document['times'], len(document['times']), 'times')
     rows: dict[str, list[Any]] = dict.fromkeys(_FIELDS, [None] * len(times))
     for field in _FIELDS:
@@ -262,10 +266,12 @@ def _trajectory(names: Any, times: Any, rows: dict[str, list[Any]]) -> LoadedTra
         ]
         is_complete = len(given) == len(times)
         if field == 'positions' and not is_complete:
-            raise TrajectoryError(f'{len(times) - len(given)} points have no positions')
+            raise TrajectoryError(
+                f'positions are missing at {len(times) - len(given)} of {len(times)} points'
+            )
         if given and not is_complete:
             notes.append(
-                f'{field} are not used: only {len(given)} of {len(times)} points have them'
+                f'{field} are not used, because only {len(given)} of {len(times)} points have them'
             )
         arrays.append(np.array(given).reshape(-1, len(names)) if is_complete else None)
     trajectory = Trajectory(tuple(names), np.array(times, float), *arrays)
@@ -285,7 +291,8 @@ def _seconds(time: Any, point: int) -> float:
     except (TypeError, ValueError):
         pass
     raise TrajectoryError(
-        f'time_from_start of point {point} is {_short(time)}, expected sec and nanosec, or seconds'
+        f'time_from_start of point {point} is {_short(time)}, expected sec and nanosec, or a '
+        'number of seconds'
     )
 
 
@@ -298,7 +305,7 @@ def _numbers(values: Any, count: int, where: str) -> Floats:
     try:
         return np.array([float(value) for value in values])
     except TypeError:
-        raise TrajectoryError(f'{where}: contains a list, expected numbers{hint}') from None
+        raise TrajectoryError(f'{where} contain a list, expected numbers{hint}') from None
     except ValueError as error:
         raise TrajectoryError(f'{where}: {shortened(str(error), 100)}{hint}') from None
 
@@ -316,14 +323,13 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
     joints = [joint for joint, kind in columns if kind == 'position' and joint in joint_names]
     if not joints:
         raise TrajectoryError(
-            'no column has the positions of a joint of this robot; the columns are '
+            'no column contains positions of a joint of this robot; the columns are '
             f'{", ".join(["time", *names])}; the joints are {", ".join(joint_names)}'
         )
     for name in joint_names:
         if name not in joints and any(f'{name}.{q}' in names for q in (*_QUANTITIES, 'effort')):
             raise TrajectoryError(
-                f"joint '{name}' has no column of positions; expected '{name}' or "
-                f"'{name}.position'"
+                f"joint '{name}' has no position column; expected '{name}' or '{name}.position'"
             )
     complete = [q for q in _QUANTITIES if all((joint, q) in columns for joint in joints)]
     arrays: list[Any] = [
@@ -367,7 +373,8 @@ def _from_bag(
             )
         trajectory, notes = _from_states(bag.messages(chosen, progress), joint_names)
         skipped = ', '.join(each.topic for each in found)
-        notes += (f'topics with single points are not used: {skipped}',) if found else ()
+        if found:
+            notes += (f'topics whose trajectories have a single point are not used: {skipped}',)
         return LoadedTrajectory(trajectory, (f'topic {chosen}', *notes))
     if not found:
         raise TrajectoryError('all trajectories in the recording are empty')
@@ -376,7 +383,7 @@ def _from_bag(
     others -= {each.topic for each in found}
     if is_single and others:
         notes += (
-            'the trajectory has a single point; other values for --topic: '
+            'the trajectory has a single point; other topics to select with --topic: '
             f'{", ".join(sorted(others))}',
         )
     return LoadedTrajectory(trajectory, notes)
@@ -394,13 +401,11 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
         topic = bag.find_topic(requested)
         if topic not in topics:
             raise TrajectoryError(
-                f"no trajectory or joint state on topic '{requested}'; the topics are {listed}"
+                f"no trajectory or joint state on topic '{requested}'; topics: {listed}"
             )
         return [topic]
     if not topics:
-        raise TrajectoryError(
-            f'no JointTrajectory or JointState messages; the topics are {listed}'
-        )
+        raise TrajectoryError(f'no JointTrajectory or JointState messages; topics: {listed}')
     return topics
 
 
@@ -456,7 +461,9 @@ def _from_states(
     if not known:
         found_names = ', '.join(sorted({name for names in by_names for name in names}))
         raise TrajectoryError(
-            f'the joint states contain no joint of this robot, but {found_names or "no names"}'
+            f'the joint states contain no joint of this robot, only {found_names}'
+            if found_names
+            else 'the joint states contain no joint names'
         )
     names, found = max(known.items(), key=lambda item: len(item[1]))
     rising = [found[0]]
@@ -472,7 +479,7 @@ def _from_states(
         notes.append(f'ignored joints that the robot does not have: {", ".join(unknown)}')
     if len(known) > 1:
         others = {name for other in known if other != names for name in other}
-        notes.append(f'ignored joint states of other publishers: {", ".join(sorted(others))}')
+        notes.append(f'ignored joint states with other joint names: {", ".join(sorted(others))}')
     kept = [k for k, name in enumerate(names) if name in joint_names]
     times = np.array([time for time, _ in rising])
     positions = np.array([np.asarray(m.position)[kept] for _, m in rising])

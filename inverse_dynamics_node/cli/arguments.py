@@ -102,7 +102,10 @@ def add_gravity(parser: CommandParser) -> None:
 
 def add_link(parser: CommandParser, role: str = '') -> None:
     """Add the option --link; the help ends with `role`."""
-    text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
+    text = (
+        'link that carries the payload (default: tool0 if it exists, otherwise the end of the '
+        'longest chain)'
+    )
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
 
@@ -113,7 +116,7 @@ def add_payload(parser: CommandParser) -> None:
         group=ROBOT,
         type=_payload,
         metavar='MASS[,X,Y,Z]',
-        help='payload [kg] and its centre of mass in the frame of the link [m]',
+        help='mass of a payload [kg], and its centre of mass in the frame of the link [m]',
     )
 
 
@@ -123,8 +126,8 @@ def add_node_parameters(parser: CommandParser) -> None:
         '--node-parameters',
         type=Path,
         metavar='FILE',
-        help='parameter file of the node; its parameters include_gravity, measured_gravity and '
-        'measured_effort_scale say what the recorded efforts contain',
+        help='parameter file of the node; include_gravity, measured_gravity and '
+        'measured_effort_scale describe the recorded efforts',
     )
 
 
@@ -173,7 +176,7 @@ def add_force(parser: CommandParser) -> None:
         '--force',
         group=RESULT,
         action='store_true',
-        help='replace existing files, except for inputs; unchanged outputs of earlier calls are '
+        help='replace existing files, except inputs; unchanged outputs of earlier calls are '
         'replaced even without this option',
     )
 
@@ -181,12 +184,17 @@ def add_force(parser: CommandParser) -> None:
 def add_strict(parser: CommandParser, condition: str) -> None:
     """Add the option --strict; the help quotes `condition`."""
     parser.add_argument(
-        '--strict', group=RESULT, action='store_true', help=f'exit with 3 if {condition}'
+        '--strict', group=RESULT, action='store_true', help=f'exit with code 3 if {condition}'
     )
 
 
+def strict_code(options: argparse.Namespace, is_met: object) -> int:
+    """Return the exit code: 3 if --strict is given and its condition is met, otherwise 0."""
+    return 3 if options.strict and is_met else 0
+
+
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; `which` completes the help "position of a joint that ..."."""
+    """Add the option --at; `which` completes the help "position of a joint ..."."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -194,8 +202,8 @@ def add_at(parser: CommandParser, which: str) -> None:
         default=[],
         type=_joint_position,
         metavar='JOINT=POSITION',
-        help=f'position of a joint that {which} [rad, m] (default: 0, or the nearest end of its '
-        'range); may be repeated',
+        help=f'position of a joint {which} [rad, m] (default: the position in its range that is '
+        'nearest to 0); may be repeated',
     )
 
 
@@ -225,15 +233,15 @@ def _joint_position(text: str) -> tuple[str, float]:
         raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=POSITION") from None
 
 
-def _payload(text: str) -> list[float]:
+def _payload(text: str) -> tuple[float, list[float]]:
     """Parse a mass [kg] and an optional centre of mass [m], separated by commas."""
     try:
-        values = [float(word) for word in text.split(',')]
+        mass, *com = map(float, text.split(','))
+        if len(com) not in (0, 3):
+            raise ValueError
     except ValueError:
-        values = []
-    if len(values) not in (1, 4):
-        raise argparse.ArgumentTypeError(f"'{text}' is not MASS or MASS,X,Y,Z")
-    return values
+        raise argparse.ArgumentTypeError(f"'{text}' is neither MASS nor MASS,X,Y,Z") from None
+    return mass, com or [0.0, 0.0, 0.0]
 
 
 def read_source_text(path: Path | str) -> Path | str:
@@ -269,6 +277,6 @@ def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> st
     if options.payload is None:
         return ''
     link = options.link or last_link(dynamics.robot)
-    mass, *com = options.payload
-    dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
+    mass, com = options.payload
+    dynamics.set_payload(link, mass, com)
     return f"payload {mass:g} kg on link '{link}'"

@@ -13,7 +13,16 @@ import numpy as np
 from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, SAMPLES, Workspace
 from ..errors import listed
 from ..report.robot_tables import model_tables
-from ..report.tables import decimals, effort_unit, fraction, number, Table, warnings_about, WIDTH
+from ..report.tables import (
+    counted,
+    decimals,
+    effort_unit,
+    fraction,
+    number,
+    Table,
+    warnings_about,
+    WIDTH,
+)
 from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
@@ -38,7 +47,6 @@ link, and the robot holds it at rest. Moving the payload takes larger efforts: s
 exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
 
-_WARNED = 3
 _MOST_JOINTS = 8  # largest number of joints in the text of a pose
 
 
@@ -62,7 +70,7 @@ def make_parser() -> CommandParser:
         type=_sample_count,
         default=SAMPLES,
         metavar='N',
-        help='number of poses, rounded up to a power of two (default: %(default)s)',
+        help='number of sampled poses, rounded up to a power of two (default: %(default)s)',
     )
     arguments.add_force(parser)
     arguments.add_strict(parser, 'there are warnings')
@@ -87,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     warnings = warnings_about(robot)
     if not robot.joint_names:
         _show(f'{_usable(warnings)} No joint can move.', model_tables(dynamics), warnings)
-        return _WARNED if options.strict and warnings else 0
+        return arguments.strict_code(options, warnings)
     link = options.link or last_link(robot)
     with progress('computing poses') as report:
         workspace = explore(dynamics, options.samples, progress=report)
@@ -102,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
         drawing = partial(draw, dynamics, workspace, payload, options.urdf.name)
         write_picture(drawing, options.picture)
         print(f'written: {options.picture}')
-    return _WARNED if options.strict and warnings else 0
+    return arguments.strict_code(options, warnings)
 
 
 def _show(text: str, tables: Iterable[Table], warnings: Sequence[ModelWarning]) -> None:
@@ -113,8 +121,8 @@ def _show(text: str, tables: Iterable[Table], warnings: Sequence[ModelWarning]) 
 
 
 def _usable(warnings: Sequence[ModelWarning]) -> str:
-    count = len(warnings)
-    return f'Usable, with {count} warning{"s" * (count > 1)}.' if count else 'Usable, no warnings.'
+    count = f'with {counted(len(warnings), "warning")}' if warnings else 'no warnings'
+    return f'Usable, {count}.'
 
 
 def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
@@ -129,7 +137,9 @@ def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
     if ratios.max() > 1.0:
         return f'{text} The robot cannot hold itself in every pose.'
     if payload.joint is None:
-        return f"{text} A payload at link '{payload.link}' loads no joint with an effort limit."
+        return (
+            f"{text} A payload at link '{payload.link}' loads only joints without effort limits."
+        )
     return f"{text} Largest payload at link '{payload.link}': {payload.mass:.3g} kg."
 
 
@@ -137,7 +147,7 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     """Return a table of gravity efforts, worst poses and the payload capacity."""
     robot, limits = workspace.robot, workspace.limits
     places = decimals(workspace.efforts)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for i, name in enumerate(robot.joint_names):
         efforts = workspace.efforts[:, i]
         worst = float(efforts[workspace.worst[i]])
@@ -153,31 +163,28 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
                 _short_pose(workspace.poses[workspace.worst[i]]),
             )
         )
-    columns = ('joint', 'worst', 'median', 'limit', 'ratio', '', 'pose of the worst [rad, m]')
-    shown = [k for k in range(len(columns)) if k < 5 or any(row[k] for row in rows)]
-    widths = [max(len(row[k]) for row in [columns, *rows]) + 2 for k in shown]
-    is_too_wide = sum(widths) > WIDTH
-    if is_too_wide:
-        shown.pop()
+    columns = ['joint', 'worst', 'median', 'limit', 'ratio', '', 'worst pose [rad, m]']
     hardest = workspace.hardest
     worst_pose = workspace.poses[workspace.worst[hardest]]
     notes: tuple[str, ...] = (
-        f'Worst pose of {robot.joint_names[hardest]}: {pose_in_words(robot, worst_pose)}.',
+        f'Worst pose for {robot.joint_names[hardest]}: {pose_in_words(robot, worst_pose)}.',
         payload_in_words(robot, payload),
     )
     if workspace.is_search_shortened:
         notes += (
-            'With this many joints, the search for the worst poses is shortened: other poses may '
-            'take more effort.',
+            'With this many joints, the search for the worst poses is shortened, so other poses '
+            'may take more effort.',
         )
-    if is_too_wide:
-        notes += ('The worst poses are too long for this table: --poses FILE writes them as CSV.',)
+    widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
+    if sum(width + 2 for width in widths if width) > WIDTH:
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
+        notes += ('The worst poses do not fit in this table; --poses FILE writes them as CSV.',)
     count = len(workspace.poses) - len(rows)
-    title = f'Efforts that hold the robot, over {count} poses and the worst poses nearby'
+    title = f'Efforts that hold the robot, in {count} sampled poses and the worst poses near them'
     return Table(
         title,
-        tuple(columns[k] for k in shown),
-        tuple(tuple(row[k] for k in shown) for row in rows),
+        tuple(columns),
+        tuple(rows),
         notes,
         frozenset({5, 6}),
         frozenset(np.flatnonzero(workspace.peaks > limits).tolist()),
@@ -189,7 +196,7 @@ def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:
         return f'Largest payload {where}: unlimited, because no loaded joint has an effort limit.'
-    at = f'{payload.joint} reaches its limit first, at {pose_in_words(robot, payload.pose)}'
+    at = f'{payload.joint} reaches its limit first (pose: {pose_in_words(robot, payload.pose)})'
     if payload.mass == 0.0:
         return f'Largest payload {where}: none, because gravity alone exceeds a limit; {at}.'
     return f'Largest payload {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
@@ -205,7 +212,7 @@ def pose_in_words(robot: RobotModel, pose: Floats) -> str:
     if not shown:
         return 'all joints 0'
     rest = len(away) - len(shown)
-    return ', '.join(shown) + (f' and {rest} more' if rest else '') + ', the others 0'
+    return ', '.join(shown) + (f', {rest} more not listed' if rest else '') + ', the others 0'
 
 
 def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:

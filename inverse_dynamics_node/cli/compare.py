@@ -14,7 +14,6 @@ from ..analysis.diagnosis import (
     diagnose_recording,
     FaultKind,
     friction_parameters,
-    JointResidual,
 )
 from ..analysis.recordings.signals import Recording
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
@@ -25,7 +24,7 @@ from ..robot.limit_checks import position_warnings
 from . import arguments
 from .arguments import CommandParser, ROBOT
 from .console import say, show, show_warnings
-from .output_files import check_outputs, new_file
+from .output_files import check_outputs, write_file
 from .pictures.compare import draw
 from .pictures.style import try_to_draw
 from .recordings import measured_efforts, read_recording
@@ -44,17 +43,15 @@ each joint, `<joint>.position` (or just `<joint>`), `<joint>.velocity` (optional
 `<joint>.effort`. Twenty seconds are enough if every joint moves in both directions, at different
 speeds.
 
-The command can diagnose these differences: a swapped sign; a reversed axis; positions in degrees;
-efforts that are motor currents, are in another unit, or arrive late; gravity compensated by the
-driver; a different mounting of the base; a payload; joints in another order; inertia of rotors; an
-offset; a driver that does not measure; several wrong links. A load, a push or a tilt of the base
-may last for only a part of the recording. Friction is fitted separately; --parameters writes the
-friction for the node.
+The command can diagnose these differences: a wrong sign; a reversed axis; positions in degrees;
+efforts that are motor currents, are in the wrong unit, or arrive late; gravity compensated by the
+driver; a different mounting of the base; a payload; joints in the wrong order; rotor inertia; an
+offset; a driver that does not measure efforts; wrong masses of several links. A load, a push or a
+tilt of the base may last for only part of the recording. Friction is fitted separately, and
+--parameters writes it as parameters of the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
-
-_FOUND = 3
 
 
 def make_parser() -> CommandParser:
@@ -71,12 +68,12 @@ def make_parser() -> CommandParser:
         '--topic', help='topic of the joint states (default: the only one with efforts)'
     )
     parser.add_argument(
-        '--from', dest='start', type=float, metavar='S', help='ignore earlier samples [s]'
+        '--from', dest='start', type=float, metavar='S', help='ignore samples before this time [s]'
     )
     parser.add_argument(
-        '--to', dest='end', type=float, metavar='S', help='ignore later samples [s]'
+        '--to', dest='end', type=float, metavar='S', help='ignore samples after this time [s]'
     )
-    role = '; only this link is searched for an unknown payload (default: all tips)'
+    role = '; an unknown payload is sought only on --link (default: at the end of every chain)'
     arguments.add_link(parser, role)
     arguments.add_payload(parser)
     arguments.add_gravity(parser)
@@ -132,7 +129,7 @@ def run(options: argparse.Namespace) -> int:
     drawing = partial(draw, result, source, verdict(result))
     if path := try_to_draw(drawing, options, picture):
         print(f'picture: {path}')
-    return _FOUND if options.strict and warnings else 0
+    return arguments.strict_code(options, warnings)
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:
@@ -159,9 +156,7 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
     """Write the friction and the rotor inertia of all joints as parameters of the node."""
-    joints: list[JointResidual] = sorted(
-        result.joints, key=lambda joint: joint_names.index(joint.name)
-    )
+    joints = sorted(result.joints, key=lambda joint: joint_names.index(joint.name))
     names = [joint.name for joint in joints]
     rotors = {
         name: value
@@ -172,5 +167,4 @@ def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], pat
     armature = [rotors.get(name, 0.0) for name in names] if rotors else []
     fits = [joint.friction for joint in joints]
     text = friction_parameters(names, fits, result.width, armature)
-    with new_file(path) as temporary:
-        temporary.write_text(text, encoding='utf-8')
+    write_file(path, text.encode())

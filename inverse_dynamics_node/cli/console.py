@@ -15,26 +15,14 @@ from typing import Any
 
 from ..errors import escaped
 from ..report.tables import (
-    as_text,
     Line,
-    Style,
     Table,
     table_lines,
     warning_lines,
-    warnings_as_text,
     WIDTH,
     wrapped,
 )
 from ..robot.model import ModelWarning
-
-_COLOURS = {
-    Style.TITLE: 'bold',
-    Style.COLUMNS: 'cyan',
-    Style.MARKED_ROW: 'bold red',
-    Style.NOTE: 'dim',
-    Style.WARNINGS: 'bold yellow',
-    Style.HINT: 'cyan',
-}
 
 
 def show(*tables: Table) -> None:
@@ -42,23 +30,18 @@ def show(*tables: Table) -> None:
     terminal = _terminal()
     for table in tables:
         if terminal is None:
-            print(as_text(table, whole_names=not sys.stdout.isatty()), end='\n\n')
+            lines = table_lines(table, whole_names=not sys.stdout.isatty())
         else:
-            # With soft_wrap, the terminal wraps long lines.
-            _print_in_colour(terminal, table_lines(table, terminal.width), soft_wrap=True)
-            terminal.print()
+            lines = table_lines(table, terminal.width)
+        _print(lines, terminal)
 
 
 def show_warnings(warnings: Sequence[ModelWarning]) -> None:
     """Print the warnings with their hints, and an empty line."""
-    terminal = _terminal()
-    if not warnings:
-        return
-    if terminal is None:
-        print(warnings_as_text(warnings))
-    else:
-        _print_in_colour(terminal, warning_lines(warnings, min(WIDTH, terminal.width)))
-    print()
+    if warnings:
+        terminal = _terminal()
+        width = WIDTH if terminal is None else min(WIDTH, terminal.width)
+        _print(warning_lines(warnings, width), terminal)
 
 
 def say(text: str) -> None:
@@ -159,9 +142,13 @@ def _terminal(stderr: bool = False) -> Any:
         return None
 
 
-def _print_in_colour(terminal: Any, lines: Iterable[Line], soft_wrap: bool = False) -> None:
-    """Print lines in the colours of their styles."""
-    from rich.text import Text
-
+def _print(lines: Iterable[Line], terminal: Any) -> None:
+    """Print lines and an empty line; a terminal shows the styles and wraps long lines."""
     for text, style in lines:
-        terminal.print(Text(text, style=_COLOURS.get(style, '')), soft_wrap=soft_wrap)
+        if terminal is None:
+            print(text)
+        else:
+            from rich.text import Text
+
+            terminal.print(Text(text, style), soft_wrap=True)
+    print()

@@ -6,11 +6,11 @@ import argparse
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 import math
 import os
 from pathlib import Path
 import shutil
-import signal
 import sys
 from tempfile import TemporaryDirectory
 
@@ -42,7 +42,10 @@ from ..simulation.demo.results import excuse, ScenarioResult
 from ..simulation.demo.scenarios import SCENARIOS
 from .arguments import add_force, add_picture, CommandParser, RESULT
 from .console import progress, say, show
-from .output_files import check_outputs, new_file, output_path
+from .output_files import check_outputs, output_path
+from .pictures import demo as pictures
+from .pictures.style import write_picture
+from .signals import collected_signals
 
 EPILOG = """\
 examples:
@@ -51,7 +54,7 @@ examples:
   inverse_dynamics demo my_arm.urdf --friction --record run
   inverse_dynamics compare my_arm.urdf run
 
-exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
+exit code: 0 the demo passed; 1 it failed, or could not run; 2 invalid arguments."""
 
 
 CALIBRATE = 'calibrate'
@@ -67,31 +70,29 @@ def run(options: argparse.Namespace) -> int:
     outputs = {'--picture': options.picture, '--record': options.record}
     check_outputs([options.urdf], outputs, options.force)
     stay_on_this_machine()
-    stops: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda number, _: stops.append(number))
-    try:
-        with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
-            os.environ['ROS_DOMAIN_ID'] = str(domain)
-            play = _run_identification if options.scenario == CALIBRATE else _run_scenario
-            outcome, draw = play(options, lambda: bool(stops))
-            if options.picture:
-                with new_file(options.picture) as path:
-                    draw(path)
-                print(f'picture: {options.picture}')
-            print(outcome, flush=True)
-            return 1 if outcome.failures else 0
-    except KeyboardInterrupt:
-        print('stopped')
-        return 128 + stops[0]
-    except (InverseDynamicsError, OSError) as error:
-        print(f'inverse_dynamics: {error}', file=sys.stderr)
-        return 1
+    reserved = unused_domain() if options.domain is None else nullcontext(options.domain)
+    with collected_signals() as stops:
+        try:
+            with reserved as domain:
+                os.environ['ROS_DOMAIN_ID'] = str(domain)
+                play = _run_identification if options.scenario == CALIBRATE else _run_scenario
+                outcome, draw = play(options, lambda: bool(stops))
+                if options.picture:
+                    write_picture(draw, options.picture)
+                    print(f'picture: {options.picture}')
+                print(outcome, flush=True)
+                return 1 if outcome.failures else 0
+        except KeyboardInterrupt:
+            print('stopped')
+            return 128 + stops[0]
+        except (InverseDynamicsError, OSError) as error:
+            print(f'inverse_dynamics: {error}', file=sys.stderr)
+            return 1
 
 
 def _new_folder(text: str) -> Path:
     if Path(text).exists():
-        raise argparse.ArgumentTypeError(f'{text}: already exists')
+        raise argparse.ArgumentTypeError(f"'{text}' already exists")
     return output_path(text)
 
 
@@ -143,14 +144,14 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
         type=float,
         default=500.0,
         metavar='HZ',
-        help='rate of joint states (default: %(default)g)',
+        help='rate of joint states [Hz] (default: %(default)g)',
     )
     parser.add_argument(
         '--duration',
         type=float,
         default=15.0,
         metavar='SECONDS',
-        help='duration of the run (default: %(default)g)',
+        help='duration of the run [s] (default: %(default)g)',
     )
     parser.add_argument(
         '--domain',
@@ -178,14 +179,14 @@ def _add_files(parser: CommandParser) -> None:
         group=RESULT,
         type=_new_folder,
         metavar='FOLDER',
-        help='folder for a rosbag2 recording',
+        help='new folder for a rosbag2 recording',
     )
     parser.add_argument(
         '--storage',
         group=RESULT,
         choices=('mcap', 'sqlite3'),
         default='mcap',
-        help='storage of the recording (default: %(default)s)',
+        help='storage format of the recording (default: %(default)s)',
     )
     add_force(parser)
 
@@ -195,13 +196,8 @@ def _run_scenario(
 ) -> tuple[ScenarioResult, Draw]:
     """Run a scenario; return the verdict, and a function that draws the picture."""
     result = run_demo(options, stopped)
-
-    def draw(path: Path) -> None:
-        from .pictures import demo as pictures
-
-        title = f'{result.title}. {result.outcome}'
-        pictures.draw(path, result.robot, title, result.timeline, result.history)
-
+    title = f'{result.title}. {result.outcome}'
+    draw = partial(pictures.draw, result.robot, title, result.timeline, result.history)
     return result.outcome, draw
 
 
@@ -229,14 +225,8 @@ def _run_identification(
     outcome = replace(outcome, excuse=excuse(after))
     print()
     show(_table(setup, truth, errors, result))
-
-    def draw(path: Path) -> None:
-        from .pictures import demo as pictures
-
-        title, names = f'{robot.name}: calibrate. {outcome}', robot.joint_names
-        pictures.draw_identification(names, (before, after), errors, title, path)
-
-    return outcome, draw
+    title, names = f'{robot.name}: calibrate. {outcome}', robot.joint_names
+    return outcome, partial(pictures.draw_identification, names, (before, after), errors, title)
 
 
 class _ExcitationMotion:
@@ -314,6 +304,4 @@ def _table(
             )
         )
     columns = ('joint', 'error before', 'after', 'Coulomb', 'identified', 'rotor', 'identified')
-    return Table(
-        'Tracking errors (RMS), and simulated and identified values', columns, tuple(rows)
-    )
+    return Table('RMS tracking errors, and simulated and identified values', columns, tuple(rows))

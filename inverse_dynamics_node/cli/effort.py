@@ -20,7 +20,7 @@ from ..analysis.trajectory_files import (
 )
 from ..dynamics.trajectory import complete, refine, smooth, Trajectory
 from ..errors import ConfigurationError, listed, unknown_name
-from ..report.tables import decimals, effort_unit, fraction, number, Table
+from ..report.tables import counted, decimals, effort_unit, fraction, number, Table
 from ..robot.limit_checks import position_warnings
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
@@ -47,9 +47,8 @@ derived from measured states contain noise; --smooth 10 removes it.
 exit code: 0 done; 1 a file cannot be read or used; 2 invalid arguments; 3 a limit of effort, speed
 or position is exceeded, and --strict was given."""
 
-_EXCEEDED = 3
 _FAR_BEYOND = 10.0
-"""Beyond this multiple of the limit, an effort or a speed probably has a wrong unit."""
+"""Beyond this multiple of the limit, an effort or a speed is probably in the wrong unit."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 _rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
@@ -58,8 +57,9 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'effort',
-        'Compute the joint efforts along a trajectory: peaks and means compared with '
-        'the limits, terms of the efforts, a table over time, and a picture.',
+        'Compute the joint efforts along a trajectory. The command prints the peaks beside the '
+        'limits, the RMS values and the terms of the efforts, and writes the efforts over time as '
+        'CSV and as a picture.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -72,7 +72,7 @@ def make_parser() -> CommandParser:
     arguments.add_payload(parser)
     arguments.add_link(parser)
     arguments.add_friction(parser)
-    arguments.add_at(parser, 'the trajectory does not move')
+    arguments.add_at(parser, 'that the trajectory does not move')
     parser.add_argument(
         '--smooth',
         type=_rate,
@@ -85,8 +85,8 @@ def make_parser() -> CommandParser:
         type=_rate,
         default=200.0,
         metavar='HZ',
-        help='smallest number of states per second to evaluate; 0: only the points of the '
-        'trajectory (default: %(default)g)',
+        help='smallest number of states per second to evaluate; 0 evaluates only the points of '
+        'the trajectory (default: %(default)g)',
     )
     arguments.add_gravity(parser)
     arguments.add_output(
@@ -163,7 +163,7 @@ def run(options: argparse.Namespace) -> int:
     print()
     say(verdict(requirements, fine.joint_names))
     is_exceeded = requirements.is_too_strong | requirements.is_too_fast | requirements.is_too_far
-    return _EXCEEDED if options.strict and is_exceeded.any() else 0
+    return arguments.strict_code(options, is_exceeded.any())
 
 
 def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
@@ -175,13 +175,13 @@ def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
     is_far = requirements.is_too_far
     is_beyond = requirements.is_too_strong | requirements.is_too_fast | is_far
     parts = [
-        f'at most {ratios.max():.0%} of the {what} limit of {names[int(np.argmax(ratios))]}'
+        f'up to {ratios.max():.0%} of the {what} limit of {names[int(np.argmax(ratios))]}'
         for what, ratios in quantities
         if ratios.max() > 0.0
     ]
     if is_far.any():
         far = [name for name, beyond in zip(names, is_far, strict=True) if beyond]
-        parts.append(f'positions of {listed(far)} outside their limits')
+        parts.append(f'{listed(far)} outside the position limits')
     if not parts:
         return 'No limit of effort or speed is known.'
     does = 'exceeds limits' if is_beyond.any() else 'stays within the known limits'
@@ -207,9 +207,8 @@ def _summary(
 ) -> Table:
     found = source.trajectory
     duration = fine.times[-1] - fine.times[0]
-    count = f'{_count(len(found.times), "point")} in {duration:.3g} s, ' + _count(
-        len(found.joint_names), 'joint'
-    )
+    joints = counted(len(found.joint_names), 'joint')
+    count = f'{counted(len(found.times), "point")} in {duration:.3g} s, {joints}'
     if len(fine.times) > len(found.times):
         count += f'; evaluated at {len(fine.times)} states'
     friction = 'with the friction of the URDF' if options.friction else 'without friction'
@@ -228,15 +227,15 @@ def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[
             ('effort', abs(float(requirements.peak[k])) / float(requirements.effort_limits[k])),
             ('speed', float(requirements.speed[k]) / float(requirements.velocity_limits[k])),
         )
-        beyond = [f'{name} {ratio:.3g} times' for name, ratio in ratios if ratio > _FAR_BEYOND]
+        beyond = [
+            f'the {what} is {ratio:.3g} times its limit'
+            for what, ratio in ratios
+            if ratio > _FAR_BEYOND
+        ]
         if beyond:
-            text = f'{" and ".join(beyond)} its limit'
+            text = ' and '.join(beyond)
             found.append(ModelWarning(text, hint, name))
     return tuple(found)
-
-
-def _count(number: int, noun: str) -> str:
-    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
 def requirement_tables(
@@ -271,17 +270,16 @@ def requirement_tables(
             )
         )
     columns = ('joint', 'peak effort', 'at', 'limit', 'ratio', 'RMS', 'speed', 'limit', 'power')
-    is_marked = any(row[-1] for row in rows)
     notes = (
-        (f'a braking joint absorbs up to {np.max(requirements.braking):.3g} W',)
+        (f'when braking, a joint absorbs up to {np.max(requirements.braking):.3g} W',)
         if np.max(requirements.braking) > 0.0
         else ()
     )
     return [
         Table(
             'Peaks compared with the limits',
-            (*columns, '') if is_marked else columns,
-            tuple(row if is_marked else row[:-1] for row in rows),
+            (*columns, ''),
+            tuple(rows),
             notes,
             frozenset({9}),
             frozenset(k for k, row in enumerate(rows) if row[-1]),

@@ -39,9 +39,9 @@ examples:
   inverse_dynamics excite my_arm.urdf --speed 0.2
   inverse_dynamics effort my_arm.urdf my_arm_excite.csv
 
-The links stay 2 cm apart from each other, from the floor and from each --box, according to the
+The links stay 2 cm away from each other, from the floor and from each --box, according to the
 collision shapes of the URDF. A payload has no shape: enclose it in a collision shape of the URDF.
-The straight way from the pose of --at to the start is checked too. Rehearse the motion with
+The straight path from the pose of --at to the start is checked too. Rehearse the motion with
 --speed 0.2: the robot follows the same path, but five times slower. The motion is written as a
 JointTrajectory without efforts, as a joint_trajectory_controller expects. A second file contains a
 slow motion to the start pose. Send this second file first. Record /joint_states during the motion.
@@ -62,9 +62,9 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'excite',
-        'Within the limits, find the motion that best determines masses and friction. The command '
-        'writes the motion as CSV and as JointTrajectory, draws a picture, and reports which '
-        'space the motion needs and which standard errors to expect.',
+        'Find the motion within the limits that best determines masses and friction. The command '
+        'writes the motion as CSV and as a JointTrajectory, draws a picture, and reports the '
+        'space that the motion needs and the standard errors to expect.',
         EPILOG,
         own='motion',
     )
@@ -96,7 +96,7 @@ def _add_limits(parser: CommandParser) -> None:
         help='range in which the joint may move, not reduced by --fraction [rad, m]; may be '
         'repeated',
     )
-    arguments.add_at(parser, 'does not move, or of any joint before the motion')
+    arguments.add_at(parser, 'before the motion, and during the motion if the joint does not move')
     parser.add_argument(
         '--floor',
         type=_floor,
@@ -111,15 +111,15 @@ def _add_limits(parser: CommandParser) -> None:
         default=[],
         type=float,
         metavar=('X', 'Y', 'Z', 'LX', 'LY', 'LZ'),
-        help='an obstacle: centre and lengths of a box along the axes of the base [m]; may be '
-        'repeated',
+        help='obstacle: the centre of a box, and its lengths along the axes of the base [m]; may '
+        'be repeated',
     )
     parser.add_argument(
         '--fraction',
         type=float,
         default=FRACTION,
         metavar='F',
-        help='fraction of the limits of position, speed and effort to use (default: %(default)g)',
+        help='fraction of the position, speed and effort limits to use (default: %(default)g)',
     )
 
 
@@ -159,7 +159,7 @@ def _add_motion(parser: CommandParser) -> None:
         type=_positive,
         default=100.0,
         metavar='HZ',
-        help='points per second of the CSV file (default: %(default)g)',
+        help='points per second in the CSV file (default: %(default)g)',
     )
 
 
@@ -171,8 +171,8 @@ def _add_files(parser: CommandParser) -> None:
     arguments.add_output(
         parser,
         '--trajectory-out',
-        'the motion as JointTrajectory (default: <name of the URDF>_excite.yaml); the way to the '
-        'start pose is written to a file whose name ends with _start.yaml',
+        'the motion as a JointTrajectory (default: <name of the URDF>_excite.yaml); the motion to '
+        'the start pose is written to a second file, whose name ends with _start.yaml',
         'YAML',
     )
     arguments.add_picture(parser, '<name of the URDF>_excite.png')
@@ -192,7 +192,7 @@ def run(options: argparse.Namespace) -> int:
         {
             '--csv': csv,
             '--trajectory-out': yaml,
-            'start of --trajectory-out': start,
+            'start motion': start,
             '--picture': arguments.picture_or(options, f'{stem}.png'),
         },
         options.force,
@@ -217,16 +217,17 @@ def run(options: argparse.Namespace) -> int:
 
     with new_file(csv) as temporary:
         write_table(temporary, trajectory, efforts)
+    to_start = _to_start(excitation)
     for path, motion in (
         (yaml, excitation.series.trajectory(_YAML_RATE, options.speed)),
-        (start, _to_start(excitation)),
+        (start, to_start),
     ):
         with new_file(path) as temporary:
             write_trajectory(temporary, motion)
     written = [
         f'{csv}: the motion, with modelled efforts',
-        f'{yaml}: the motion as JointTrajectory',
-        f'{start}: the way from any pose to the start, in {_seconds_to_start(excitation):g} s',
+        f'{yaml}: the motion as a JointTrajectory',
+        f'{start}: the motion to the start pose, which takes {to_start.times[0]:g} s',
     ]
     drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, options.urdf.name)
     if path := try_to_draw(drawing, options, f'{stem}.png'):
@@ -253,17 +254,16 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
         return keep_clear(robot, limits, capsules, options.floor, boxes)
 
 
-def _seconds_to_start(excitation: Excitation) -> float:
-    """Return a duration [s] in which every joint can cross its range slowly."""
-    limits = excitation.limits
-    longest = float(np.max(2.0 * limits.half / (_SLOW * limits.speeds)))
-    return float(max(5.0, math.ceil(longest)))
-
-
 def _to_start(excitation: Excitation) -> Trajectory:
-    """Return a trajectory with one point, which is the start pose at rest."""
+    """
+    Return a trajectory with one point, which is the start pose at rest.
+
+    Every joint can cross its range slowly before the time of this point.
+    """
+    limits = excitation.limits
+    longest = np.max(2.0 * limits.half / (_SLOW * limits.speeds))
     q, _, _ = excitation.series.sample(np.zeros(1))
-    times = np.array([_seconds_to_start(excitation)])
+    times = np.array([max(5.0, np.ceil(longest))])
     return Trajectory(excitation.series.joint_names, times, q, 0.0 * q, 0.0 * q)
 
 

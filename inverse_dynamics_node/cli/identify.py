@@ -24,7 +24,7 @@ from ..robot.model import ModelWarning
 from . import arguments
 from .arguments import CommandParser, ROBOT
 from .console import progress, say, show, show_warnings
-from .output_files import check_outputs, new_file
+from .output_files import check_outputs, write_file
 from .pictures.identify import draw
 from .pictures.style import try_to_draw
 from .recordings import read_recording
@@ -37,19 +37,17 @@ examples:
   inverse_dynamics identify my_arm.urdf run.mcap --fixed base_link gripper_base
 
 A recording is a rosbag2 folder, .mcap, .db3 or .csv file with measured efforts; the help of
-`inverse_dynamics compare` describes it. Record motions of all joints at the same time, in varied
-poses, slowly and fast, in both directions, for 30 s or more; `inverse_dynamics excite` plans such
-a motion. Without --validate, each block of the recordings is left out of the fit in turn, and the
-result is evaluated on this block.
+`inverse_dynamics compare` describes these formats. Record motions of all joints at the same time,
+in varied poses, slowly and fast, in both directions, for 30 s or more; `inverse_dynamics excite`
+plans such a motion. Without --validate, the recordings are divided into blocks. Each block in turn
+is left out of the fit, and the result is evaluated on this block.
 
 Where the recordings give little information, the result stays close to the URDF. The result is
-always physical. If the identified model does not predict unseen data better than the URDF with
-fitted friction, only the friction is written.
+always physically possible. If the identified model does not predict unseen data better than the
+URDF with fitted friction, only the friction is written.
 
 exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments; 3 the identified model
 was not accepted, and --strict was given."""
-
-_NOT_ACCEPTED = 3
 
 
 def make_parser() -> CommandParser:
@@ -74,7 +72,7 @@ def make_parser() -> CommandParser:
         action='append',
         default=[],
         metavar='RUN',
-        help='recording to evaluate the result, without using it for the fit; may be repeated',
+        help='recording that is not fitted, and on which the result is evaluated; may be repeated',
     )
     arguments.add_output(parser, '--output', 'the calibrated URDF')
     arguments.add_output(
@@ -121,10 +119,7 @@ def run(options: argparse.Namespace) -> int:
     )
     source = arguments.read_source_text(options.urdf)
     robot = arguments.load_dynamics(source, options.gravity).robot
-    payload = None
-    if options.payload is not None:
-        mass, *com = options.payload
-        payload = (options.link or last_link(robot), mass, com or [0.0, 0.0, 0.0])
+    payload = options.payload and (options.link or last_link(robot), *options.payload)
     found = [
         read_recording(path, robot, options.topic)
         for path in (*options.recordings, *options.validate)
@@ -145,7 +140,7 @@ def run(options: argparse.Namespace) -> int:
     drawing = partial(draw, result, f'{robot.name}: {names}')
     if path := try_to_draw(drawing, options, picture):
         print(f'picture: {path}')
-    return _NOT_ACCEPTED if options.strict and not result.accepted else 0
+    return arguments.strict_code(options, not result.accepted)
 
 
 def _show(
@@ -181,17 +176,14 @@ def _write(
     """Write the files, and return a line of text for each file."""
     lines = []
     if options.output:
-        with new_file(options.output) as path:
-            path.write_bytes(calibrated_urdf(result, source))
+        write_file(options.output, calibrated_urdf(result, source))
         what = 'calibrated URDF' if result.accepted else 'URDF with fitted friction'
         lines.append(f'{what}: {options.output}')
     if options.parameters:
-        with new_file(options.parameters) as path:
-            path.write_text(identified_parameters(result), encoding='utf-8')
+        write_file(options.parameters, identified_parameters(result).encode())
         lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False)
-        with new_file(options.json) as path:
-            path.write_text(text + '\n', encoding='utf-8')
+        write_file(options.json, f'{text}\n'.encode())
         lines.append(f'report: {options.json}')
     return lines

@@ -12,6 +12,7 @@ from ..analysis.diagnosis.live import Agreement, Obstacle, Outcome
 from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
 from ..report.agreement_text import sentence
+from ..report.tables import counted
 from .console import colour_console
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
         count = (status.efforts and status.efforts.receivers) or 0
         names = f': {str(others.subscribers) or "none"}' if count else ''
         are = 'not sent, ' if loop.is_dry_run else ''
-        subscribers = f'{count} subscriber{"" if count == 1 else "s"}'
+        subscribers = counted(count, 'subscriber')
         lines.append(('commands', f'{others.commands}, {are}{subscribers}{names}'))
     expected = '' if loop.requested_rate is None else f' of {loop.requested_rate:g}'
     rates = [f'commands {_number(loop.rate, 1)}{expected} Hz']

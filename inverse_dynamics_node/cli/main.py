@@ -23,7 +23,7 @@ _COMMANDS = {
     'without a robot': {
         'check': 'report on a URDF: masses, limits, warnings, gravity efforts, payload capacity',
         'effort': 'efforts, speeds and powers along a trajectory, compared with the limits',
-        'excite': 'plan a motion whose recording `identify` can use to find masses and friction',
+        'excite': 'plan the motion to record for `identify`',
     },
     'with recordings of a robot': {
         'compare': 'compare a recording with the model, fit friction, diagnose differences',
@@ -66,8 +66,9 @@ exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid ar
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
 _ROS_COMMANDS = 'payload', 'watch', 'simulate'  # commands that accept --ros-args
-_EXTRAS = {
-    **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), 'cli'),
+_PIP = "in a virtual environment, run pip install 'inverse_dynamics_node"
+_ADVICE = {
+    **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), f"{_PIP}[cli]'"),
     **dict.fromkeys(
         (
             'diagnostic_msgs',
@@ -77,16 +78,11 @@ _EXTRAS = {
             'std_msgs',
             'trajectory_msgs',
         ),
-        'ros',
+        f"source an installed ROS 2, or, {_PIP}[ros,demo]'",
     ),
-    'mujoco': 'demo',
+    'mujoco': f"{_PIP}[demo]'",
 }
-_PIP = "in a virtual environment: pip install 'inverse_dynamics_node"
-_ADVICE = {
-    'cli': f"{_PIP}[cli]'",
-    'demo': f"{_PIP}[demo]'",
-    'ros': f"source an installed ROS 2, or {_PIP}[ros,demo]'",
-}
+"""Advice for each package that may be missing."""
 _INVALID_ARGUMENTS = 2
 _INTERRUPTED, _BROKEN_PIPE = 130, 141  # exit codes of a shell for SIGINT and SIGPIPE
 
@@ -114,9 +110,9 @@ def _code_of(arguments: list[str]) -> int:
         return _BROKEN_PIPE
     except ModuleNotFoundError as error:
         package = (error.name or '').partition('.')[0]
-        if package not in _EXTRAS:
+        if package not in _ADVICE:
             raise
-        return _fail(f'{error}: {_ADVICE[_EXTRAS[package]]}')
+        return _fail(f'{error}; {_ADVICE[package]}')
     except OSError as error:
         named = error.filename is not None and error.strerror
         return _fail(f'{error.filename}: {error.strerror}' if named else str(error))

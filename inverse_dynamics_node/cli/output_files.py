@@ -35,13 +35,13 @@ def output_path(text: str) -> Path:
     path = Path(text)
     folder = path.parent
     if path.is_dir():
-        raise argparse.ArgumentTypeError(f'{text}: is a folder, expected the name of a file')
+        raise argparse.ArgumentTypeError(f"'{text}' is a folder, expected the name of a file")
     if not folder.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: folder '{folder}' does not exist")
+        raise argparse.ArgumentTypeError(f"folder '{folder}' does not exist")
     needed = [path] if path.exists() else []
     needed += [] if _is_stream(path) else [Path(os.path.realpath(path)).parent]
     if not all(os.access(each, os.W_OK) for each in needed):
-        raise argparse.ArgumentTypeError(f'{text}: no permission to write')
+        raise argparse.ArgumentTypeError(f"no permission to write '{text}'")
     return path
 
 
@@ -50,7 +50,7 @@ def picture_path(text: str) -> Path:
     path = output_path(text)
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise argparse.ArgumentTypeError(
-            f"{text}: has the suffix '{path.suffix}', expected .png, .svg or .pdf"
+            f"'{text}' has the suffix '{path.suffix}', expected .png, .svg or .pdf"
         )
     return path
 
@@ -74,15 +74,15 @@ def check_outputs(
         where, identity = f'{option} {path}', _identity(path)
         if identity in sources:
             raise OutputError(
-                f'{where}: is the input {sources[identity]}, which is never replaced; choose '
+                f'{where} is the input {sources[identity]}, which is never replaced; choose '
                 'another name'
             )
         if identity in written:
-            raise OutputError(f'{where}: is also the output of {written[identity]}')
+            raise OutputError(f'{where} is also the output of {written[identity]}')
         written[identity] = option
         if path.exists() and not force and not _is_unchanged_output(path):
             raise OutputError(
-                f'{where}: already exists; choose another name, or replace the file with --force'
+                f'{where} already exists; choose another name, or replace the file with --force'
             )
 
 
@@ -111,6 +111,12 @@ def new_file(path: Path) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write an output as described for `new_file`."""
+    with new_file(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def _complete(path: Path) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 import json
 from pathlib import Path
-import signal
 import sys
 
 from ..analysis.diagnosis import GravityConvention
@@ -28,9 +26,11 @@ from . import arguments
 from .arguments import CommandParser, RESULT
 from .console import progress, say, show, waiting
 from .nodes import choose_node, node_name
-from .output_files import check_outputs, new_file, output_path, OutputError
+from .output_files import check_outputs, output_path, OutputError
 from .pictures.payload import draw
+from .pictures.style import write_picture
 from .recordings import measured_efforts, read_recording, reported_convention, scaled
+from .signals import collected_signals
 
 EPILOG = """\
 examples:
@@ -44,23 +44,22 @@ Record the same motion twice, without and with the payload. Move all joints slow
 directions, for 20 s or more. Or let the arm rest in 6 to 8 poses for 2 s each, and approach each
 pose from the same side. The help of `inverse_dynamics compare` lists the formats of recordings.
 
-With --record, the command records the joint states of a running node, and then measures. Without
---empty, it reports what the empty arm seems to carry. Ctrl-C ends the recording early: the file
-then contains what was recorded, and nothing is measured.
+With --record, the command records the joint states of a running node, and then measures. To record
+the empty arm, leave out --empty: the result is then the payload that the empty arm seems to carry.
+Ctrl-C ends the recording early: the file then contains what was recorded, and nothing is measured.
 
 exit code: 0 measured; 1 a recording cannot be used, or the node did not accept the payload;
-2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass;
-130 ended by Ctrl-C."""
+2 invalid arguments; 3 the recordings do not determine the mass, or only a part of the centre of
+mass; 130 ended by Ctrl-C."""
 
 _NOT_SHOWN = 3
-_DEFAULT_NODE = '/inverse_dynamics'
 
 
 def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'payload',
-        'Measure mass and centre of mass of a payload from two recordings of the same motion, '
+        'Measure the mass and centre of mass of a payload from two recordings of the same motion, '
         'with and without the payload. The command prints the payload as a message for the node '
         'and as an <inertial> element.',
         EPILOG,
@@ -77,14 +76,14 @@ def make_parser() -> CommandParser:
         '--record',
         type=arguments.positive,
         metavar='SECONDS',
-        help='first record LOADED: the joint states that a running node receives in this time; '
-        'the diagnostics of the node say what the efforts contain (needs ROS 2)',
+        help='first record the joint states of a running node in the file LOADED for this time; '
+        'the diagnostics of the node say whether the efforts contain gravity (needs ROS 2)',
     )
     parser.add_argument(
         '--node',
         type=node_name,
         metavar='NODE',
-        help='node of --record and --apply (default: the only node)',
+        help='node for --record and --apply (default: the only node)',
     )
     parser.add_argument(
         '--topic',
@@ -104,7 +103,7 @@ def make_parser() -> CommandParser:
         const=True,
         type=node_name,
         metavar='NODE',
-        help='publish the payload to a running node, and wait until the node has the payload '
+        help='publish the payload to a running node, and wait until the node uses it '
         '(needs ROS 2; default: the node of --node)',
     )
     arguments.add_picture(parser)
@@ -122,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
     convention, scale = measured_efforts(source, robot.joint_names)
     empty = None
     if options.empty is not None:
-        empty, _ = read_recording(options.empty, robot, options.topic, {})
+        empty, _ = read_recording(options.empty, robot, options.topic)
     if options.record is not None:
         options.node, status = _record(options, robot.joint_names)
         if source is None:
@@ -150,16 +149,15 @@ def run(options: argparse.Namespace) -> int:
         print()
         show(inertia_table(result), payload_table(result, robot, apparent))
         if is_shown:
-            print(topic_command(result, _DEFAULT_NODE))
+            print(topic_command(result))
             print(inertial_element(result))
     if options.picture:
         title = f'{robot.name}: {options.loaded.name}'
-        with new_file(options.picture) as path:
-            draw(result, title, verdict(result), path)
+        write_picture(partial(draw, result, title, verdict(result)), options.picture)
     if options.apply is not None and is_shown:
         name = _apply(result, options)
         if not options.json:
-            print(f'{name} has the payload')
+            print(f'{name} uses the payload')
     return 0 if is_shown else _NOT_SHOWN
 
 
@@ -171,13 +169,13 @@ def _check_files(options: argparse.Namespace) -> None:
         inputs.append(options.loaded)
     else:
         if options.loaded.suffix != '.csv':
-            raise OutputError(f'{options.loaded}: expected the name of a .csv file to record')
+            raise OutputError(f"LOADED is '{options.loaded}', expected a .csv file to record")
         try:
             output_path(str(options.loaded))
         except argparse.ArgumentTypeError as error:
             raise OutputError(str(error)) from None
         outputs['--record'] = options.loaded
-        outputs['an interrupted --record'] = _partial(options.loaded)
+        outputs['partial recording'] = _partial(options.loaded)
     check_outputs([*filter(None, inputs)], outputs, options.force)
 
 
@@ -196,7 +194,7 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
         before = observer.status
         text, partial = f'recording {recorder.topic} for {seconds:g} s', _partial(path)
         print(text, file=sys.stderr, flush=True)
-        with _signals() as signals, progress(text) as report:
+        with collected_signals() as signals, progress(text) as report:
             reason = recorder.record(partial, seconds, lambda: bool(signals), report)
     # A recording that ended early must not replace a complete recording.
     written = partial if reason and path.exists() else partial.replace(path)
@@ -205,7 +203,7 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
     if signals:
         raise SystemExit(128 + signals[0])
     if reason:
-        raise RecordingError(f'{written}: ends before {seconds:g} s: {reason}')
+        raise RecordingError(f'{written} ends before {seconds:g} s, because {reason}')
     after = observer.status
     assert before is not None
     assert after is not None
@@ -225,22 +223,6 @@ def _partial(path: Path) -> Path:
 def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
     """Return whether the measured efforts contain gravity, and the factor of each joint."""
     return reported_convention(status), dict(status.measured_scale())
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Collect signals, so that the recording is completed before the process ends."""
-    received: list[int] = []
-    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-    before = {
-        number: signal.signal(number, lambda number, _: received.append(number))
-        for number in numbers
-    }
-    try:
-        yield received
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:

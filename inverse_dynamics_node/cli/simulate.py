@@ -16,8 +16,8 @@ over after 0.5 s.
 
 The velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
 the URDF has none), the position controller brakes the robot and holds it. The robot then ignores
-commands until none has arrived for 0.5 s: set the parameter dry_run of the node to true, and back
-to false.
+commands until none has arrived for 0.5 s: set the parameter dry_run of the node to true, and then
+back to false.
 
 Two topics change the robot without informing the node: ~/payload (geometry_msgs/InertiaStamped)
 attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The service
@@ -36,17 +36,17 @@ examples:
   inverse_dynamics simulate my_arm.urdf --namespace left --commands inverse_dynamics/commands
   inverse_dynamics simulate my_arm.urdf --ros-args -r imu:=/base/imu
 
-The robot runs until Ctrl-C, in the domain ROS_DOMAIN_ID. Messages stay on this machine unless
-ROS_AUTOMATIC_DISCOVERY_RANGE is set.
+The robot runs until Ctrl-C, in the ROS domain of ROS_DOMAIN_ID. Messages stay on this machine
+unless ROS_AUTOMATIC_DISCOVERY_RANGE is set.
 
-exit code: 0 stopped; 1 cannot be run; 2 invalid arguments."""
+exit code: 0 stopped; 1 the robot could not run; 2 invalid arguments."""
 
 
 def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'simulate',
-        'Simulate a robot behind the topics of a real one.',
+        'Simulate a robot that has the topics of a real one.',
         EPILOG.format(drivers='\n'.join(map(_line, DRIVERS))),
         own='simulation',
     )
@@ -58,7 +58,7 @@ def make_parser() -> CommandParser:
         '--commands',
         metavar='TOPIC',
         help='topic of the commands, whose values are in the order of the joints in the URDF '
-        f'(default: {TORQUES.commands}, or the topic of the driver)',
+        f'(default: the topic of --driver, otherwise {TORQUES.commands})',
     )
     parser.add_argument('--namespace', default='', help='namespace of the topics (default: none)')
     parser.add_argument(
@@ -74,13 +74,14 @@ def make_parser() -> CommandParser:
         nargs='+',
         default=[],
         metavar='JOINT',
-        help='joints that hold their position and accept no commands, for example in a gripper',
+        help='joints that hold their position and accept no commands, such as gripper joints',
     )
     parser.add_argument(
         '--rate',
         type=float,
         metavar='HZ',
-        help=f'rate of joint states (default: {TORQUES.rate:g}, or the usual rate of the driver)',
+        help='rate of joint states (default: the usual rate of --driver, otherwise '
+        f'{TORQUES.rate:g})',
     )
     return parser
 
@@ -111,9 +112,9 @@ def _line(name: str) -> str:
     parts = {
         f'takes {driver.form.value}': driver.form is not TORQUES.form,
         'adds gravity to the commands': driver.adds_gravity,
-        'measures without gravity': not driver.measures_gravity,
-        'takes a unit other than N m': driver.command_unit != 1.0,
-        'measures in a unit other than N m': driver.measured_unit != 1.0,
+        'measures efforts without gravity': not driver.measures_gravity,
+        'takes commands that are not in N m': driver.command_unit != 1.0,
+        'measures efforts that are not in N m': driver.measured_unit != 1.0,
         'publishes /clock': driver.has_clock,
     }
     return f'  {name:20} {"; ".join(part for part, applies in parts.items() if applies)}'

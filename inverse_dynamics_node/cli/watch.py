@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 import gc
 import json
 import math
-import signal
 import sys
 import time
 from typing import Any, TYPE_CHECKING
@@ -31,6 +29,7 @@ from .arguments import CommandParser, RESULT
 from .live_view import as_json, as_line, LiveView
 from .nodes import choose_node, MOST_DISCOVERY, node_name, only_one
 from .recordings import reported_convention
+from .signals import handled_signals
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
@@ -71,8 +70,8 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'watch',
         'Show the joints and the state of a running node, and whether its model '
-        'agrees with the efforts that the robot measures. The command only subscribes. On a '
-        'terminal, the view is updated in place; in a pipe, one line per second is printed.',
+        'agrees with the efforts that the robot measures. The command only subscribes to topics. '
+        'On a terminal, the view is updated in place; in a pipe, one line per second is printed.',
         EPILOG,
     )
     parser.add_argument(
@@ -100,8 +99,8 @@ def make_parser() -> CommandParser:
         '--rate',
         type=arguments.positive,
         metavar='HZ',
-        help='expected rate of joint states; less than 80 %% of this rate is slow (default: less '
-        'than half of update_rate is slow, or less than 80 Hz if the node has no update_rate)',
+        help='expected rate of joint states, which are slow below 80 %% of this rate (default: '
+        'they are slow below half of update_rate, or below 80 Hz if the node has no update_rate)',
     )
     return parser
 
@@ -111,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
     from ..ros.observer import find_nodes, Observer, observing_node  # needs ROS
 
     try:
-        with _signals_raise(), observing_node(options.ros_arguments) as node:
+        with handled_signals(_stop), observing_node(options.ros_arguments) as node:
             name = choose_node(node, options.node, is_patient=not options.duration)
             watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
             return watch.run()
@@ -276,18 +275,6 @@ def next_time(due: float, period: float, now: float) -> float:
     return due + period if due + period > now else now + period
 
 
-@contextmanager
-def _signals_raise() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP like Ctrl-C, so that the terminal is restored."""
-
-    def stop(number: int, _: Any) -> None:
-        raise SystemExit(128 + number)
-
-    handlers: dict[int, Any] = {signal.SIGINT: signal.default_int_handler}
-    handlers |= dict.fromkeys((signal.SIGTERM, signal.SIGHUP), stop)
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _stop(number: int, _: object) -> None:
+    """Raise SystemExit for a signal, so that the terminal is restored."""
+    raise SystemExit(128 + number)

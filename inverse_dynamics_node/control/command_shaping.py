@@ -1,8 +1,4 @@
-"""
-Converts computed efforts into commands that respect limits and do not jump.
-
-This module uses neither ROS nor a clock. Callers pass the time.
-"""
+"""Converts computed efforts into commands that respect limits and do not jump."""
 
 from __future__ import annotations
 
@@ -321,8 +317,9 @@ class CommandShaper:
         """
         Ramp the commands down to zero, starting from the last command.
 
-        ``damping`` contains efforts to add, shape (m,) [N m or N]. If a sum exceeds its limit, one
-        factor reduces all damping efforts, so that the damping still opposes the motion.
+        ``damping`` contains efforts to add, shape (m,) [N m or N]. If a command plus damping would
+        exceed its limit, all damping efforts are scaled by one factor, so that the damping still
+        opposes the motion.
         ``limits`` has shape (m,) [N m or N]; the default is the limits of `configure`.
 
         """

@@ -37,11 +37,6 @@ class ExternalEffortEstimator:
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
-    @property
-    def cutoff(self) -> float:
-        """Cutoff frequency of the low-pass [Hz]."""
-        return self.filter.cutoff
-
     def update(self, time: float, q: Floats, qd: Floats, measured: Floats) -> Floats:
         """
         Update the estimate with one joint state; return measured minus modelled efforts.

@@ -1,4 +1,4 @@
-"""Computes efforts from joint states and references, without ROS and without a clock."""
+"""Computes efforts from joint states and references."""
 
 from __future__ import annotations
 
@@ -120,10 +120,6 @@ class ControlLaw:
         """Record that this law did not compute the last command."""
         self._followed, self._has_last_inputs = None, False
 
-    def release(self) -> None:
-        """Let joint impedance hold the positions that are measured in the next step."""
-        self.equilibrium = None
-
     def last_efforts(self) -> Floats | None:
         """Recompute efforts from the inputs of the last command; None if there are no inputs."""
         if not self._has_last_inputs:
@@ -144,19 +140,30 @@ class ControlLaw:
         """Return target minus start, shape (m,); continuous joints take the shorter way."""
         return shorter_way(target - start, self._is_continuous)
 
-    def cause_of_failure(self, scale: Floats) -> str:
-        """Name the joint and the value that prevented a solution in the last step."""
+    def cause_of_failure(self) -> str:
+        """
+        Name the joint and the value that prevented a solution in the last step.
+
+        If all inputs are plausible, the value is a computed effort.
+
+        """
         added, efforts = np.zeros((2, len(self._tau)))
         added[self._index] = self.added
+        scale = self._of_joint['effort_scale']
         with np.errstate(all='ignore'):
-            efforts[self._index] = scale * (self._tau[self._index] + added[self._index])
-        inputs = {
+            efforts[self._index] = scale * (self._tau[self._index] + self.added)
+        values = {
             'position': self._last_q,
             'velocity': self._last_qd,
             'acceleration': self._qdd,
             'added effort': added,
         }
-        return _describe_overflow(self.dynamics.robot.joint_names, inputs, efforts)
+        name, joint = _largest(values)
+        if abs(values[name][joint]) <= _PLAUSIBLE:
+            values = {'computed effort': efforts}
+            name, joint = _largest(values)
+        joint_name = self.dynamics.robot.joint_names[joint]
+        return f"the {name} of joint '{joint_name}' is {values[name][joint]:.4g}"
 
     def _is_far(self, state: State, reference: Reference) -> bool:
         """Return whether the reference is too far from the joints, or has jumped too far."""
@@ -174,10 +181,9 @@ class ControlLaw:
         """Filter the measured velocities."""
         if not self._velocity_filter.cutoff:
             return state.qd
-        times = np.full(len(state.q), state.time) if state.times is None else state.times
         # The filter of a late joint restarts, because the joint is assumed to be at rest.
-        is_late = now - times > self._timeouts
-        return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
+        is_late = now - state.times > self._timeouts
+        return self._velocity_filter.update(state.times, state.qd, self._timeouts, is_late)
 
     def _efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> Floats | None:
         mode = self.settings.mode
@@ -268,8 +274,9 @@ class DriveReference:
         joint than ``farthest`` [rad or m]. If ``farthest`` is 0, any distance is accepted.
 
         """
-        reference = self._law.followed
-        distance = self._distance(q, reference)
+        reference, distance = self._law.followed, np.zeros_like(q)
+        if reference is not None and reference.positions is not None:
+            distance = self._law.distance(q, reference.positions)
         if reference is None or (farthest and np.abs(distance).max() > farthest):
             self.weight = 0.0
             return q, qd
@@ -284,11 +291,6 @@ class DriveReference:
         """Return the measured positions and zero velocities."""
         self.weight = 0.0
         return q, np.zeros_like(q)
-
-    def _distance(self, q: Floats, reference: Reference | None) -> Floats:
-        if reference is None or reference.positions is None:
-            return np.zeros_like(q)
-        return self._law.distance(q, reference.positions)
 
 
 def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
@@ -310,32 +312,14 @@ def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
     if not joints:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
     if len(set(joints)) != len(joints):
-        raise ConfigurationError(f'joints lists a joint twice: {", ".join(joints)}')
+        raise ConfigurationError(f'parameter joints lists a joint twice: {", ".join(joints)}')
     unknown = [name for name in joints if name not in robot.joint_names]
     if unknown:
         raise ConfigurationError(
-            f"joints lists '{unknown[0]}', expected movable joints of robot '{robot.name}' except "
-            f'mimic joints: {", ".join(robot.joint_names)}'
+            f"parameter joints lists '{unknown[0]}', expected only movable joints of robot "
+            f"'{robot.name}' that mimic no other joint: {', '.join(robot.joint_names)}"
         )
     return robot.joint_indices(joints)
-
-
-def _describe_overflow(
-    joint_names: Sequence[str], inputs: Mapping[str, Floats], efforts: Floats
-) -> str:
-    """
-    Name the joint and the value that made an effort infinite.
-
-    ``inputs`` contains the inputs of the computation by name. If all inputs are plausible, the
-    value is a computed effort. All arrays have shape (n,).
-
-    """
-    name, joint = _largest(inputs)
-    value = inputs[name][joint]
-    if abs(value) <= _PLAUSIBLE:
-        name, joint = _largest({'computed effort': efforts})
-        value = efforts[joint]
-    return f"the {name} of joint '{joint_names[joint]}' is {value:.4g}"
 
 
 def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:

@@ -5,8 +5,6 @@ Payloads and gravity change over a ramp, so that the efforts do not jump. Wrench
 of the base take effect at once. A wrench fades out when its messages stop. When the messages about
 the base stop, gravity keeps its last value. A change of `load_ramp` does not affect a ramp in
 progress.
-
-This module uses neither ROS nor a clock. Callers pass the time.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,7 +44,9 @@ class _PayloadRamp(NamedTuple):
     @property
     def payload(self) -> RigidBody:
         """The current payload."""
-        return self.new if self.fraction == 1.0 else _blend_payloads(*self[:2], self.fraction)
+        if self.fraction == 1.0:
+            return self.new
+        return combine([self.old.scale(1.0 - self.fraction), self.new.scale(self.fraction)])
 
 
 class _Wrench(NamedTuple):
@@ -91,7 +91,8 @@ class ExternalLoads:
         """Time at which the motion of the base was last measured [s]."""
         self._ramps: dict[str, _PayloadRamp] = {}
         self._wrenches: dict[str, _Wrench] = {}
-        self._gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
+        self.gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
+        """Current free-fall acceleration in the base frame [m/s^2]."""
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
         self._is_base_lost = True
@@ -110,10 +111,12 @@ class ExternalLoads:
         """
         self.dynamics.robot.link_index(link)
         payload = _read_payload(mass, com, inertia)
-        if _is_same(payload, self.payloads.get(link, NO_PAYLOAD)):
+        last = self.payloads.get(link, NO_PAYLOAD)
+        pairs: Any = zip(payload, last, strict=True)
+        if all(np.array_equal(one, other) for one, other in pairs):
             return False
         ramp = self._ramps.get(link)
-        old = ramp.payload if ramp else self.payloads.get(link, NO_PAYLOAD)
+        old = ramp.payload if ramp else last
         self._ramps[link] = _PayloadRamp(old, payload, self.settings.load_ramp, 0.0)
         self.payloads.pop(link, None)
         if payload is not NO_PAYLOAD:
@@ -136,8 +139,7 @@ class ExternalLoads:
         F = _read_bounded('force', force, 'N', _LARGEST_WRENCH)
         N = _read_bounded('moment', moment, 'N m', _LARGEST_WRENCH)
         last = self._wrenches.get(link)
-        self._wrenches[link] = _Wrench(F, N, now, self.settings.load_ramp, 1.0)
-        self.dynamics.set_external_wrench(link, F, N)
+        self._write_wrench(link, _Wrench(F, N, now, self.settings.load_ramp, 1.0))
         if last is None or last.fraction < 1.0:
             return True
         return not 0.0 <= now - last.time <= self.settings.wrench_timeout
@@ -168,12 +170,12 @@ class ExternalLoads:
         turning = _read_bounded('angular velocity', angular_velocity, 'rad/s')
         was_lost = self._is_base_lost or self._is_new_signal or not self.is_base_known(now)
         self._imu_filter.cutoff = self.settings.imu_filter_cutoff
-        self._imu_filter.value = np.array([self._gravity, self._angular_velocity])
+        self._imu_filter.value = np.array([self.gravity, self._angular_velocity])
         sample = np.array([-force, turning])
-        self._gravity, self._angular_velocity = self._imu_filter.update(
+        self.gravity, self._angular_velocity = self._imu_filter.update(
             now, sample, restarts=was_lost
         )
-        self._target = self._gravity
+        self._target = self.gravity
         self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
         self._write_base()
         return was_lost
@@ -198,7 +200,7 @@ class ExternalLoads:
             self._ramp_payload(link, elapsed)
         for link in list(self._wrenches):
             self._fade_wrench(link, now, elapsed)
-        if self._gravity is not self._target:
+        if self.gravity is not self._target:
             self._ramp_gravity(elapsed)
         if self._is_base_lost or self.is_base_known(now):
             return False
@@ -257,7 +259,7 @@ class ExternalLoads:
         for link, wrench in other._wrenches.items():
             if link in self.dynamics.robot.link_names:
                 self._write_wrench(link, wrench)
-        self._gravity, self._target = other._gravity, other._target
+        self.gravity, self._target = other.gravity, other._target
         self._gravity_ramp = other._gravity_ramp
         self._angular_velocity, self.imu_time = other._angular_velocity, other.imu_time
         self._imu_filter = other._imu_filter
@@ -266,14 +268,9 @@ class ExternalLoads:
         return dropped
 
     @property
-    def gravity(self) -> Floats:
-        """Current free-fall acceleration in the base frame [m/s^2]."""
-        return self._gravity
-
-    @property
     def gravity_at_root(self) -> Floats:
         """Current free-fall acceleration in the root frame [m/s^2]."""
-        at_root: Floats = self._R_0B @ self._gravity
+        at_root: Floats = self._R_0B @ self.gravity
         return at_root
 
     def _ramp_payload(self, link: str, elapsed: float) -> None:
@@ -303,13 +300,13 @@ class ExternalLoads:
         self.dynamics.set_external_wrench(link, fraction * wrench.force, fraction * wrench.moment)
 
     def _ramp_gravity(self, elapsed: float) -> None:
-        difference = self._target - self._gravity
+        difference = self._target - self.gravity
         distance = float(np.linalg.norm(difference))
         step = -STANDARD_GRAVITY[2] * ramp_fraction(elapsed, self._gravity_ramp)
         if distance <= step or not self._gravity_ramp:
-            self._gravity = self._target
+            self.gravity = self._target
         else:
-            self._gravity = self._gravity + (step / distance) * difference
+            self.gravity = self.gravity + (step / distance) * difference
         self._write_base()
 
     def _write_base(self) -> None:
@@ -359,8 +356,8 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     )
     if largest > _LARGEST_PAYLOAD:
         raise ConfigurationError(
-            f'payload contains {largest:g} as mass, centre of mass or inertia; expected at most '
-            f'{_LARGEST_PAYLOAD:g} kg, m or kg m^2'
+            f'a value of the payload (mass, centre of mass or inertia) is {largest:g}, expected '
+            f'at most {_LARGEST_PAYLOAD:g} kg, m or kg m^2'
         )
     if not payload.mass:
         return NO_PAYLOAD
@@ -368,23 +365,9 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     if principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
         moments = ', '.join(f'{moment:.3g}' for moment in principal)
         raise ConfigurationError(
-            f'payload has an inertia that is physically impossible: one of the principal moments '
+            'the inertia of the payload is physically impossible: one of the principal moments '
             f'({moments} kg m^2) exceeds the sum of the others'
         )
     # Remove negative moments due to rounding, because their blends would be rejected.
     shift = max(0.0, -float(principal[0]))
     return payload._replace(inertia=payload.inertia + shift * np.eye(3))
-
-
-def _is_same(one: RigidBody, other: RigidBody) -> bool:
-    """Return whether two payloads are exactly equal."""
-    return (
-        one.mass == other.mass
-        and np.array_equal(one.com, other.com)
-        and np.array_equal(one.inertia, other.inertia)
-    )
-
-
-def _blend_payloads(old: RigidBody, new: RigidBody, fraction: float) -> RigidBody:
-    """Blend two payloads; ``fraction`` is the weight of the new payload."""
-    return combine([old.scale(1.0 - fraction), new.scale(fraction)])

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import difflib
+from itertools import compress
 import math
 from typing import Any, NamedTuple
 
@@ -49,8 +50,8 @@ class State(NamedTuple):
     """Joint velocities, shape (n,) [rad/s or m/s]."""
     time: float
     """Arrival time of the oldest state of a commanded joint [s]."""
-    times: Floats | None = None
-    """Arrival time of each joint's state, shape (n,) [s]; None if all arrived at `time`."""
+    times: Floats
+    """Arrival time of each joint's state, shape (n,) [s]."""
     is_consistent: bool = True
     """False while positions of a commanded joint alternate; see `position_tracks`."""
 
@@ -83,7 +84,7 @@ class JointStateCollector:
     the first report of the joint. Locked joints are never missing and never stale. ``commanded``
     lists the joints that need a fresh state. By default, all joints that are not locked need a
     fresh state. ``robot`` provides the speed limits for `position_tracks`. A ConfigurationError is
-    raised if a locked joint is unknown, or if a locked position is not finite.
+    raised if a locked joint is unknown or commanded, or if a locked position is not finite.
 
     """
 
@@ -121,18 +122,22 @@ class JointStateCollector:
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
         self._losses = 0  # how often velocities were lost
-        self._lock(locked or {})
-        self.is_free = self.times == -math.inf
-        """True for unlocked joints, shape (n,)."""
-        self._is_commanded = self.is_free & [
+        self._lock(locked or {}, commanded)
+        self._is_free = self.times == -math.inf  # not locked
+        self._is_commanded = self._is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
         self._tracks = make_tracks(n, robot)
         self._is_alternating = np.zeros(n, dtype=bool)
-        self._has_alternating, self._is_consistent = False, True
+        self.has_alternating = False
+        """Whether positions of any joint alternate; see `position_tracks`."""
+        self.is_consistent = True
+        """False while positions of a commanded joint alternate; see `position_tracks`."""
         self._is_resting = np.zeros(n, dtype=bool)
         self._has_resting = False
         compile_kernels()
+        self.time = self._other_time = -math.inf
+        """Oldest arrival time among the commanded joints [s]; -inf until all were reported."""
         self._find_oldest()
 
     def layout(self, names: tuple[str, ...]) -> Layout:
@@ -145,17 +150,6 @@ class JointStateCollector:
         self._remember_foreign_names(names)
         places = np.array([in_robot, in_message], np.int64)
         return Layout(names, places, np.zeros((3, len(names))), len(in_robot) > 0)
-
-    def update(
-        self,
-        now: float,
-        names: Sequence[str],
-        positions: Numbers,
-        velocities: Numbers,
-        efforts: Numbers = (),
-    ) -> bool:
-        """Store one joint state; see `store`."""
-        return self.store(now, self.layout(tuple(names)), positions, velocities, efforts)
 
     def store(
         self,
@@ -204,43 +198,17 @@ class JointStateCollector:
         if result & JUMPED:
             self.has_jumped = True
             self.has_leapt |= bool(result & LEAPT)
-        if result & ALTERNATING or self._has_alternating:
+        if result & ALTERNATING or self.has_alternating:
             self._find_alternating()
         if layout.has_joints:
             self._find_oldest()
         return layout.has_joints
 
-    @property
-    def time(self) -> float:
-        """Oldest arrival time among the commanded joints [s]; -inf until all were reported."""
-        return self._time
-
-    @property
-    def is_consistent(self) -> bool:
-        """False while positions of a commanded joint alternate; see `position_tracks`."""
-        return self._is_consistent
-
-    @property
-    def has_alternating(self) -> bool:
-        """Whether positions of any joint alternate; see `position_tracks`."""
-        return self._has_alternating
-
-    def at(self, now: float, timeout: float) -> State | None:
-        """Call `rest_late`, then return the latest state; times are in [s]."""
-        self.rest_late(now, timeout)
-        return self.state()
-
     def state(self) -> State | None:
         """Return the latest state; None until all unlocked joints have been reported."""
-        if self._time == -math.inf or self._other_time == -math.inf:
+        if self.time == -math.inf or self._other_time == -math.inf:
             return None
-        return State(self.q, self.qd, self._time, self.times, self._is_consistent)
-
-    def check_free(self, names: Sequence[str]) -> None:
-        """Raise a ConfigurationError if one of the joints is locked."""
-        for name in names:
-            if not self.is_free[self._index[name]]:
-                raise ConfigurationError(f"joint '{name}' is both commanded and locked")
+        return State(self.q, self.qd, self.time, self.times, self.is_consistent)
 
     def continue_from(self, other: JointStateCollector) -> None:
         """Copy the states of joints that both collectors contain."""
@@ -276,7 +244,7 @@ class JointStateCollector:
         are not included.
 
         """
-        is_late = self.is_free & ~self._is_commanded & self._is_old(now, timeout)
+        is_late = self._is_free & ~self._is_commanded & self._is_old(now, timeout)
         is_late &= self.times > LONG_AGO
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
@@ -287,7 +255,7 @@ class JointStateCollector:
 
     def forget_silent(self, now: float) -> None:
         """End the alarms of joints that are no longer reported; ``now`` is in [s]."""
-        if self._has_alternating:
+        if self.has_alternating:
             forget_silent(self._tracks, now - self.times)
             self._find_alternating()
 
@@ -298,7 +266,7 @@ class JointStateCollector:
         Otherwise, a joint that is no longer reported would keep its last velocity forever.
 
         """
-        if self._has_alternating:
+        if self.has_alternating:
             self.forget_silent(now)
         are_fresh = 0.0 <= now - self._other_time <= timeout or self._other_time == math.inf
         if are_fresh and not self._has_resting:
@@ -306,7 +274,7 @@ class JointStateCollector:
         is_resting = ~self._is_commanded & (self.times > LONG_AGO) & self._is_old(now, timeout)
         self.has_jumped |= bool((is_resting != self._is_resting).any())
         self._is_resting, self._has_resting = is_resting, bool(is_resting.any())
-        self.late_count = int(np.count_nonzero(is_resting & self.is_free))
+        self.late_count = int(np.count_nonzero(is_resting & self._is_free))
         self.qd[is_resting] = 0.0
 
     def unseen(self) -> list[str]:
@@ -325,13 +293,13 @@ class JointStateCollector:
             if not is_known and len(name) <= _LONGEST_NAME:
                 self._foreign_names.append(name)
 
-    def _lock(self, locked: Mapping[str, float]) -> None:
+    def _lock(self, locked: Mapping[str, float], commanded: Sequence[str]) -> None:
         unknown = [name for name in locked if name not in self._index]
         if unknown:
             joints = ', '.join(self.joint_names)
             raise ConfigurationError(
                 *(
-                    f"locked_positions lists '{name}', expected joints of the robot: {joints}"
+                    f"locked_positions lists '{name}', expected only joints of the robot: {joints}"
                     + did_you_mean(name, self.joint_names)
                     for name in unknown
                 )
@@ -343,6 +311,9 @@ class JointStateCollector:
                 )
             self.q[self._index[name]] = position
             self.times[self._index[name]] = LONG_AGO
+        for name in commanded:
+            if name in locked:
+                raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
     def _complete(self, layout: Layout, now: float) -> None:
         """Replace unmeasured velocities with zeros; raise a JointStateError for invalid values."""
@@ -357,7 +328,7 @@ class JointStateCollector:
         is_lost = has_velocity & np.isnan(qd) & ~is_recent
         self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)
         if is_lost.any():
-            self.lost_velocities += self._named_by(in_robot[is_lost])
+            self.lost_velocities += [self.joint_names[i] for i in in_robot[is_lost]]
             self._losses += 1  # every layout is checked again
         is_new = is_finite & ~has_velocity & (times > LONG_AGO)
         self.has_jumped |= bool((is_lost | is_new | (times == LONG_AGO)).any())
@@ -374,10 +345,7 @@ class JointStateCollector:
             raise JointStateError(f"{quantity} of joint '{joint}' is {values[k]}")
 
     def _named(self, flags: Booleans) -> list[str]:
-        return self._named_by(np.flatnonzero(flags))
-
-    def _named_by(self, index: Integers) -> list[str]:
-        return [self.joint_names[i] for i in index]
+        return list(compress(self.joint_names, flags))
 
     def _is_old(self, now: float, timeout: float) -> Booleans:
         age = now - self.times
@@ -389,11 +357,11 @@ class JointStateCollector:
         after[list(alternating(self._tracks))] = True
         self.has_jumped |= bool((before != after)[~self._is_commanded].any())
         self._is_alternating = after
-        self._has_alternating = bool(after.any())
-        self._is_consistent = not (after & self._is_commanded).any()
+        self.has_alternating = bool(after.any())
+        self.is_consistent = not (after & self._is_commanded).any()
 
     def _find_oldest(self) -> None:
-        self._time, self._other_time = find_oldest(self.times, self._is_commanded)
+        self.time, self._other_time = find_oldest(self.times, self._is_commanded)
 
 
 def compile_kernels() -> None:

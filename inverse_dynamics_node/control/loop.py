@@ -1,12 +1,9 @@
-"""
-The control loop of one robot, from joint states to commands.
-
-This module uses neither ROS nor a clock. Callers pass the time.
-"""
+"""The control loop of one robot, from joint states to commands."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 import math
 from typing import NamedTuple
 
@@ -16,7 +13,6 @@ from numpy.typing import ArrayLike
 from ..dynamics.effort_terms import EffortTerms, JointWrenches
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError
-from ..robot.limit_checks import implausible_positions, ImplausiblePosition
 from ..robot.model import Booleans, Floats, RobotModel
 from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
@@ -25,7 +21,7 @@ from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
 from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
-from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
+from .supervision import COMPUTING_PHASES, DryRun, Phase, StateSupervisor
 
 # Settings that affect the inputs of the computation. Other settings only affect the results.
 _INPUT_SETTINGS = (
@@ -76,25 +72,23 @@ class Controller:
         self.supervisor = StateSupervisor()
         self.law = ControlLaw(dynamics, self._index)
         self.stop_damping = StopDamping(dynamics, self._index)
-        self._shaper = CommandShaper(self._index, period)
-        command = self._shaper.command
-        flags = self._shaper.is_saturated, self._shaper.is_slowed
+        self.shaper = CommandShaper(self._index, period)
+        command = self.shaper.command
+        flags = self.shaper.is_saturated, self.shaper.is_slowed
         self._result = Command(command, *flags, sent=command)
-        self._time = math.inf
         self.settings = settings or Settings()
         self.apply(self.settings)
 
-    def apply(self, settings: Settings, of_joint: Mapping[str, Floats] | None = None) -> None:
+    def apply(self, settings: Settings) -> None:
         """
         Change the settings; the next step continues from the last command.
 
         Call this method after other changes, for example of friction. All changes are blended in
-        over the start ramp, so that the efforts do not jump. ``of_joint`` is the result of
-        `Settings.expanded`, if known. If a setting has the wrong number of values, a
-        ConfigurationError is raised and nothing changes.
+        over the start ramp, so that the efforts do not jump. If a setting has the wrong number of
+        values, a ConfigurationError is raised and nothing changes.
 
         """
-        of_joint = of_joint or settings.expanded(len(self.joints))
+        of_joint = settings.expanded(len(self.joints))
         limits = of_joint['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
@@ -103,16 +97,16 @@ class Controller:
         )
         self.settings, self.of_joint, self.limits = settings, of_joint, limits
         self.law.apply(settings, of_joint)
-        self._shaper.configure(
-            self.scale,
-            self.offset,
+        self.shaper.configure(
+            of_joint['effort_scale'],
+            of_joint['effort_offset'],
             limits,
             of_joint['effort_rate_limits'],
             settings.start_ramp,
             settings.stop_ramp,
         )
         if has_same_inputs:
-            self._shaper.begin(self.law.last_efforts(), self.law.added)
+            self.shaper.begin(self.law.last_efforts(), self.law.added)
         else:
             self.blend()
 
@@ -124,7 +118,7 @@ class Controller:
         change of the robot description or gravity.
 
         """
-        self._shaper.begin()
+        self.shaper.begin()
 
     @property
     def phase(self) -> Phase:
@@ -132,43 +126,14 @@ class Controller:
         return self.supervisor.phase
 
     @property
-    def gain(self) -> float:
-        """Factor for the computed efforts; rises from 0 to 1 over the start ramp."""
-        return self._shaper.gain
-
-    @property
     def has_effort(self) -> bool:
         """Whether the last command contains a nonzero effort, or stop damping is active."""
-        return bool(self._shaper.command.any()) or self.stop_damping.is_active
+        return bool(self.shaper.command.any()) or self.stop_damping.is_active
 
     @property
     def scale(self) -> Floats:
         """Factors for the computed efforts, shape (m,)."""
         return self.of_joint['effort_scale']
-
-    @property
-    def offset(self) -> Floats:
-        """Offsets that are added to the scaled efforts, shape (m,) [N m or N]."""
-        return self.of_joint['effort_offset']
-
-    @property
-    def ramp_step(self) -> float:
-        """Time step of ramps for this command [s]; see `RampClock`."""
-        return self._shaper.clock.step
-
-    @property
-    def time_to_fall(self) -> float:
-        """Time to ramp the last command down to zero [s]."""
-        return self._shaper.time_to_fall
-
-    @property
-    def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations that produced the last efforts, each of shape (n,)."""
-        return self.law.motion
-
-    def cause_of_failure(self) -> str:
-        """Name the joint and the value that prevented a solution in the last step."""
-        return self.law.cause_of_failure(self.scale)
 
     @property
     def is_stopping(self) -> bool:
@@ -192,7 +157,7 @@ class Controller:
         self.supervisor.start()
         self.stop_damping.end()
         self.law.reset()
-        self._shaper.reset()
+        self.shaper.reset()
 
     def continue_from(self, other: Controller) -> None:
         """
@@ -204,39 +169,34 @@ class Controller:
         """
         if self.joints != other.joints:
             raise ConfigurationError(
-                f'the joints to command are now {", ".join(self.joints)}; expected '
+                f'the commanded joints are now {", ".join(self.joints)}; expected '
                 f'{", ".join(other.joints)}'
             )
-        self.supervisor, self._time = other.supervisor, other._time
+        self.supervisor = other.supervisor
         self.law.equilibrium = other.law.equilibrium
-        self._shaper.continue_from(other._shaper)
+        self.shaper.continue_from(other.shaper)
         self.stop_damping.continue_from(other.stop_damping)
-
-    def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
-        """
-        Compute the next command; return None before the first complete joint state.
-
-        ``now`` is the time [s], measured by the same clock as the times of ``state`` and
-        ``reference``. ``state`` is the latest joint state, and ``reference`` is the latest
-        reference. Pass None if no state or no reference has arrived.
-
-        """
-        self.pass_time(now)
-        return self.command(state, reference)
 
     def pass_time(self, now: float) -> float:
         """Advance to the time of a command [s]; return the time step of ramps [s]."""
-        self._time = now
-        clock = self._shaper.clock
+        clock = self.shaper.clock
         if clock.advance(now):
-            self._shaper.begin()
+            self.shaper.begin()
         return clock.step
 
-    def command(self, state: State | None, reference: Reference | None) -> Command | None:
-        """Compute the command for the time of the last `pass_time`; see `step`."""
-        now, settings = self._time, self.settings
-        supervisor, law, shaper = self.supervisor, self.law, self._shaper
-        damping = self.stop_damping
+    def command(
+        self, now: float, state: State | None, reference: Reference | None
+    ) -> Command | None:
+        """
+        Compute the next command; return None before the first complete joint state.
+
+        Call `pass_time` first. ``now`` is the time [s], measured by the same clock as the times of
+        ``state`` and ``reference``. ``state`` is the latest joint state, and ``reference`` is the
+        latest reference. Pass None if no state or no reference has arrived.
+
+        """
+        settings, damping = self.settings, self.stop_damping
+        supervisor, law, shaper = self.supervisor, self.law, self.shaper
         if damping.is_active and not supervisor.is_stopping:
             damping.end()
         blocking = supervisor.blocking_phase(now, state, settings.state_timeout, shaper.gain)
@@ -246,7 +206,7 @@ class Controller:
         if blocking is None:
             assert state is not None
             if not shaper.continues:
-                law.release()  # the arm may have moved away from the old equilibrium
+                law.equilibrium = None  # the arm may have moved away from the old one
             phase = law.phase(now, state, reference)
             tau = law.efforts(now, state, reference if phase is Phase.RUNNING else None)
             if tau is not None and shaper.follow(tau, law.added):
@@ -264,11 +224,6 @@ class Controller:
         else:
             shaper.hold()
         return self._result
-
-    @property
-    def recovery_time(self) -> float:
-        """A loss ends after joint states have arrived for this time without a gap [s]."""
-        return recovery_time(self.settings.state_timeout)
 
 
 class ControlLoop:
@@ -305,7 +260,6 @@ class ControlLoop:
         self.controller = Controller(self.dynamics, joints, settings, period)
         commanded = self.controller.joints
         self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
-        self.collector.check_free(commanded)
         self._set_velocity_timeout()
         self.loads = ExternalLoads(self.dynamics, load_settings, gravity, base_link)
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
@@ -314,18 +268,15 @@ class ControlLoop:
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
         self.drive = DriveReference(self.controller.law)
+        self.dry_run = DryRun()
+        """The dry run, which decides whether the commands are sent."""
 
     def start(self, *, is_dry_run: bool = False) -> None:
         """Start with zero efforts and without a reference."""
         self.reference = None
         self.drive.weight = 0.0
         self.controller.start()
-        self.controller.supervisor.dry_run = DryRun(is_active=is_dry_run)
-
-    @property
-    def dry_run(self) -> DryRun:
-        """The dry run, which decides whether the commands are sent."""
-        return self.controller.supervisor.dry_run
+        self.dry_run = DryRun(is_active=is_dry_run)
 
     @property
     def has_to_stop(self) -> bool:
@@ -341,10 +292,10 @@ class ControlLoop:
 
         """
         dry_run, controller = self.dry_run, self.controller
-        if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
+        if is_wanted is dry_run.is_active or (dry_run.has_effort and not is_wanted):
             return False
         if is_wanted:
-            dry_run.begin(controller.time_to_fall)
+            dry_run.begin(controller.shaper.time_to_fall)
             return True
         was_stopping, self.reference = controller.is_stopping, None
         controller.start()
@@ -358,12 +309,13 @@ class ControlLoop:
         controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
-        state = collector.at(now, controller.settings.uncommanded_state_timeout)
+        collector.rest_late(now, controller.settings.uncommanded_state_timeout)
+        state = collector.state()
         # Loads need no ramp before the first command, because no effort acts.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
             if collector.has_leapt:
-                controller.law.release()
+                controller.law.equilibrium = None
             collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
@@ -371,10 +323,10 @@ class ControlLoop:
             reference = self.reference = None
         if self.has_imu and self.lacks_imu:
             state = None
-        command = controller.command(state, reference)
+        command = controller.command(now, state, reference)
         if command is None:
             return None
-        sent = controller.supervisor.dry_run.select(command.efforts, ramp_step)
+        sent = self.dry_run.select(command.efforts, ramp_step)
         return command if sent is command.sent else command._replace(sent=sent)
 
     def _set_velocity_timeout(self) -> None:
@@ -421,28 +373,19 @@ class ControlLoop:
                 missing = [f'consistent positions of {", ".join(joints)} on {states}']
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
-    def implausible_positions(self) -> list[ImplausiblePosition]:
-        """Find joints that are implausibly far outside their position limits."""
-        collector = self.collector
-        known = np.where(collector.times > -math.inf, collector.q, math.nan)
-        return implausible_positions(self.robot, known)
-
-    def continue_from(self, other: ControlLoop) -> list[str]:
+    def continue_from(self, other: ControlLoop, *, is_active: bool) -> list[str]:
         """
-        Continue from the last command and the inputs of another control loop.
+        Take over the joint states and loads of another loop, which must not be used afterwards.
 
-        A payload is dropped if this robot lacks the link. The result lists the links of the
-        dropped payloads. The other loop must not be used afterwards. If the two loops command
-        different joints, a ConfigurationError is raised and nothing changes.
+        If ``is_active``, also continue from the last command and the reference. If the two loops
+        command different joints, a ConfigurationError is raised and nothing changes. A payload is
+        dropped if this robot lacks the link. The result lists the links of the dropped payloads.
 
         """
-        self.controller.continue_from(other.controller)
-        self.reference = other.reference
-        self.drive.weight = other.drive.weight
-        return self.copy_inputs_from(other)
-
-    def copy_inputs_from(self, other: ControlLoop) -> list[str]:
-        """Copy joint states and loads from another loop; return the links of dropped payloads."""
+        if is_active:
+            self.controller.continue_from(other.controller)
+            self.reference, self.dry_run = other.reference, other.dry_run
+            self.drive.weight = other.drive.weight
         self.collector.continue_from(other.collector)
         return self.loads.continue_from(other.loads)
 
@@ -455,7 +398,8 @@ class ControlLoop:
 
         """
         scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
-        scale[self.index], offset[self.index] = self.controller.scale, self.controller.offset
+        of_joint = self.controller.of_joint
+        scale[self.index], offset[self.index] = of_joint['effort_scale'], of_joint['effort_offset']
         calibrated: Floats = scale[index] * efforts + offset[index]
         return calibrated
 
@@ -464,8 +408,7 @@ class ControlLoop:
         limits = self.robot.effort_limits.copy()
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
-        pairs = zip(index, is_beyond, strict=True)
-        return [self.robot.joint_names[i] for i, is_one in pairs if is_one]
+        return [self.robot.joint_names[i] for i in compress(index, is_beyond)]
 
     def effort_terms(self) -> EffortTerms:
         """Compute the terms of the last efforts, each of shape (m,) [N m or N]."""
@@ -478,7 +421,7 @@ class ControlLoop:
     def base_wrench(self) -> tuple[Floats, Floats]:
         """Compute force [N] and moment [N m] of the mount on the base link, in the base frame."""
         q = self.collector.q
-        wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
+        wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.law.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
 
     def drive_reference(self) -> tuple[Floats, Floats]:
@@ -489,7 +432,7 @@ class ControlLoop:
             return self.drive.rest(q)
         settings = controller.settings
         return self.drive.motion(
-            q, qd, controller.ramp_step, settings.start_ramp, settings.max_position_jump
+            q, qd, controller.shaper.clock.step, settings.start_ramp, settings.max_position_jump
         )
 
     def external_efforts(self) -> Floats:

@@ -5,28 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 import math
 
 import numpy as np
 
-from ..robot.model import Booleans
 from .loop import Command, ControlLoop
 from .status import (
-    ClockStatus,
     EffortsStatus,
     GraphInfo,
     JointStatesStatus,
     LoopStatus,
     MessagesStatus,
     ModelStatus,
-    NodeNames,
     NodeStatus,
-    OtherNodesStatus,
     Payload,
     ReferenceStatus,
 )
 from .status_text import (
-    judge_clock,
     judge_efforts,
     judge_joint_states,
     judge_loop,
@@ -81,11 +77,11 @@ class Monitor:
             self.overruns += 0.0 < 1.5 * self.period < elapsed
         self._durations.append(duration)
         if np.count_nonzero(command.is_saturated):
-            clamped = _selected(joints, command.is_saturated)
+            clamped = list(compress(joints, command.is_saturated))
             self.clamped.update(clamped)
             self._clamped_joints += [name for name in clamped if name not in self._clamped_joints]
         if np.count_nonzero(command.is_slowed):
-            self.slowed.update(_selected(joints, command.is_slowed))
+            self.slowed.update(compress(joints, command.is_slowed))
 
     def pause(self) -> None:
         """Exclude the time until the next command from the statistics."""
@@ -107,13 +103,13 @@ class Monitor:
         connections of the node.
 
         """
+        level, message = judge_other_nodes(loop, around)
         status = NodeStatus(
-            self._loop_status(now, loop, around), self._messages_status(), _other_nodes(around)
+            self._loop_status(now, loop, around),
+            self._messages_status(),
+            replace(around.others, level=level, message=message),
+            around.clock,
         )
-        if around.simulated is not None:
-            level, message = judge_clock(around.simulated)
-            clock = ClockStatus(level, message, *around.simulated)
-            status = replace(status, clock=clock)
         if loop is not None:
             status = replace(
                 status,
@@ -146,8 +142,8 @@ class Monitor:
             status,
             mode=loop.controller.settings.mode,
             phase=loop.controller.phase,
-            is_dry_run=around.is_dry_run,
-            gain=loop.controller.gain,
+            is_dry_run=loop.dry_run.is_active,
+            gain=loop.controller.shaper.gain,
         )
 
     def _messages_status(self) -> MessagesStatus:
@@ -160,7 +156,7 @@ class Monitor:
             receivers=around.receivers,
             topic=around.topics.joint_efforts,
             external_topic=around.topics.external_efforts,
-            external_cutoff=loop.external_effort_estimator.cutoff,
+            external_cutoff=loop.external_effort_estimator.filter.cutoff,
             measures_gravity=loop.measures_gravity,
             measured_scale=tuple(loop.external_effort_estimator.scale[loop.index].tolist()),
             scale=tuple(loop.controller.scale.tolist()),
@@ -194,17 +190,6 @@ class StalledPublishers:
         elif pause > _LONGEST_PAUSE:
             self._since = min(now, self._since + pause)
         return now - self._since
-
-
-def _other_nodes(around: GraphInfo) -> OtherNodesStatus:
-    others = around.others
-    return OtherNodesStatus(
-        *judge_other_nodes(around),
-        commands=others.commands,
-        subscribers=NodeNames.of(others.subscribers),
-        rivals=NodeNames.of(others.rivals),
-        namesakes=others.namesakes,
-    )
 
 
 def _joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> JointStatesStatus:
@@ -245,10 +230,6 @@ def _model(now: float, loop: ControlLoop) -> ModelStatus:
         gravity_at_root=tuple(loads.gravity_at_root.tolist()),
         warnings=tuple(map(str, robot.warnings)),
     )
-
-
-def _selected(joints: Sequence[str], flags: Booleans) -> list[str]:
-    return [name for name, flag in zip(joints, flags, strict=True) if flag]
 
 
 def _percentile(times: list[float], percentile: float) -> float | None:

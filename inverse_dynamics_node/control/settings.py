@@ -88,9 +88,8 @@ class Settings:
         'How the reference is used',
         '`inverse_dynamics` uses the accelerations of the reference. `computed_torque` adds '
         'feedback of position and velocity. `gravity_compensation` ignores the reference: the '
-        'arm floats, for hand guiding. In '
-        '`joint_impedance`, a spring and a damper hold each joint at the reference, or at its '
-        'position if there is no reference',
+        'arm floats and can be guided by hand. In `joint_impedance`, a spring and a damper hold '
+        'each joint at the reference, or at its position if there is no reference',
     )
     kp: PerJoint = setting(100.0, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0)
     kd: PerJoint = setting(20.0, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0)
@@ -115,9 +114,10 @@ class Settings:
     )
     max_position_jump: float = setting(
         0.5,
-        'Largest step of a reference of `computed_torque` or `joint_impedance`. 0: unlimited',
-        'The same limit applies to the distance of a new reference from the measured position, '
-        'or from the position that `joint_impedance` holds',
+        'Largest position step between references in `computed_torque` and `joint_impedance`. '
+        '0: unlimited',
+        'The same limit applies to the step from the measured position, or from the position that '
+        '`joint_impedance` holds, to a new reference',
         unit='rad, m',
         minimum=0.0,
     )
@@ -127,15 +127,15 @@ class Settings:
         unit='Hz',
         minimum=0.0,
     )
-    effort_scale: PerJoint = setting(1.0, 'Factor for the efforts')
-    effort_offset: PerJoint = setting(0.0, 'Added to the scaled efforts', unit='N m, N')
+    effort_scale: PerJoint = setting(1.0, 'Factor that multiplies the efforts')
+    effort_offset: PerJoint = setting(0.0, 'Offset added to the scaled efforts', unit='N m, N')
     use_urdf_effort_limits: bool = setting(
         True, 'Keep efforts within `<limit effort>` of the URDF'
     )
     effort_limits: PerJoint = setting(
         math.inf,
-        'Effort limits tighter than those of the URDF. 0: none',
-        'After a change, efforts beyond a tightened limit fall to the limit over `start_ramp`',
+        'Effort limits in addition to those of the URDF. 0: none',
+        'After a limit is lowered, efforts beyond the limit fall to it within `start_ramp`',
         unit='N m, N',
         minimum=0.0,
         is_unlimited_at_zero=True,
@@ -149,35 +149,35 @@ class Settings:
     )
     state_timeout: float = setting(
         0.1,
-        'Age after which the state of a commanded joint is lost',
+        'Age after which the state of a commanded joint counts as lost',
         unit='s',
         minimum=0.005,
         maximum=60.0,
     )
     uncommanded_state_timeout: float = setting(
         1.0,
-        'Joints that are not commanded are taken to be at rest after this time without a state',
-        'Such joints keep their last position and never stop the arm',
+        'Time without a state after which a joint that is not commanded is assumed to be at rest',
+        'The last position of the joint is used, and the arm does not stop',
         unit='s',
         minimum=0.005,
         maximum=60.0,
     )
     reference_timeout: float = setting(
         0.5,
-        'A reference older than this is ignored. 0: a reference is used until the next one',
-        'Without a reference, the accelerations are zero',
+        'Age after which a reference is ignored. 0: a reference is used until the next one',
+        'Without a reference, the accelerations are taken as zero',
         unit='s',
         minimum=0.0,
         maximum=3600.0,
     )
     on_stale_state: StalePolicy = setting(
         StalePolicy.ZERO,
-        'Efforts after the joint state is lost',
+        'Efforts after a loss of the joint state',
         '`zero`: ramp to zero within `stop_ramp`. `hold`: keep the last efforts',
     )
     start_ramp: float = setting(
         0.5,
-        'Time for the efforts to rise from zero, and for blends after live changes',
+        'Time for the efforts to rise from zero, and to blend after a live change of parameters',
         unit='s',
         minimum=0.0,
         maximum=60.0,
@@ -201,7 +201,7 @@ class Settings:
     )
     stop_timeout: float = setting(
         20.0,
-        'Longest time of `stop_damping`, after which the damping fades within `stop_ramp`',
+        'Longest time for `stop_damping`; afterwards, the damping fades within `stop_ramp`',
         'A change applies from the next stop on',
         unit='s',
         minimum=0.0,
@@ -215,8 +215,16 @@ class Settings:
         If a setting has neither one value nor m values, a ConfigurationError is raised.
 
         """
-        names = [each.name for each in fields(self) if each.type == 'PerJoint']
-        return {name: _expanded(name, getattr(self, name), m) for name in names}
+        arrays: dict[str, Floats] = {}
+        for name in (each.name for each in fields(self) if each.type == 'PerJoint'):
+            values = getattr(self, name)
+            if np.size(values) not in (1, m):
+                raise ConfigurationError(
+                    f'{name} has {np.size(values)} numbers, expected one, or one for each of {m} '
+                    'joints'
+                )
+            arrays[name] = np.full(m, values, dtype=np.float64)
+        return arrays
 
 
 LARGEST_GRAVITY = 100.0
@@ -235,7 +243,7 @@ class LoadSettings:
     )
     imu_timeout: float = setting(
         0.2,
-        'Time without a message on `imu` after which the motion of the base is lost',
+        'Time without a message on `imu` after which the motion of the base counts as lost',
         'While the motion is lost, gravity keeps its last value, and the angular velocity is '
         'taken as zero',
         unit='s',
@@ -244,25 +252,17 @@ class LoadSettings:
     )
     load_ramp: float = setting(
         0.5,
-        'Time in which a payload is ramped in, or a lost external wrench fades out',
-        'Gravity changes by 9.8 m/s^2 in this time. A change does not affect a ramp in progress',
+        'Time for ramping in a payload, and for fading out an external wrench',
+        'Within this time, gravity changes by at most 9.8 m/s^2. A new value does not affect a '
+        'ramp in progress',
         unit='s',
         minimum=0.0,
         maximum=60.0,
     )
     wrench_timeout: float = setting(
         0.1,
-        'An external wrench that is not renewed for this long fades out',
+        'Time without a new message after which an external wrench fades out',
         unit='s',
         minimum=0.0,
         maximum=60.0,
     )
-
-
-def _expanded(name: str, values: PerJoint, m: int) -> Floats:
-    numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if numbers.shape not in ((1,), (m,)):
-        raise ConfigurationError(
-            f'{name} has {numbers.size} numbers, expected one, or one for each of {m} joints'
-        )
-    return np.array(np.broadcast_to(numbers, (m,)))

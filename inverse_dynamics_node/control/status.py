@@ -122,11 +122,14 @@ class OtherNodesStatus(Part):
 
 @dataclass(frozen=True)
 class ClockStatus(Part):
-    """The clock of a simulation; see `SimulatedTime`."""
+    """The clock of a simulation."""
 
     time: float | None = key('time [s]', '.3f')
+    """Simulated time [s]; 0 if none has arrived."""
     unchanged_for: float | None = key('unchanged for [s]', '.1f')
+    """Steady time since the last change of the simulated time [s]."""
     publishers: int | None = key('publishers')
+    """Number of publishers of /clock."""
 
 
 @dataclass(frozen=True)
@@ -279,32 +282,6 @@ class NodeStatus:
         return tuple(problem for _, problem in sorted(found))
 
 
-class Others(NamedTuple):
-    """Other nodes that use the topic of the commands or have the name of this node."""
-
-    name: str = ''
-    """Fully qualified name of this node."""
-    commands: str = ''
-    """Topic of the commands."""
-    subscribers: tuple[str, ...] = ()
-    """Nodes that subscribe to the commands."""
-    rivals: tuple[str, ...] = ()
-    """Other nodes that publish on the topic of the commands."""
-    namesakes: int = 0
-    """Number of other nodes with the name of this node."""
-
-
-class SimulatedTime(NamedTuple):
-    """The clock of a simulation."""
-
-    time: float
-    """Simulated time [s]; 0 if none has arrived."""
-    unchanged_for: float
-    """Steady time since the last change of the simulated time [s]."""
-    publishers: int
-    """Number of publishers of /clock."""
-
-
 class Topics(NamedTuple):
     """Resolved names of topics."""
 
@@ -323,13 +300,14 @@ class GraphInfo(NamedTuple):
     is_active: bool
     state: str
     """Lifecycle state."""
-    others: Others = Others()
+    name: str = ''
+    """Fully qualified name of this node."""
+    others: OtherNodesStatus = OtherNodesStatus()
+    """Other nodes, not judged yet."""
     state_publishers: tuple[str, ...] = ()
     """Nodes that publish joint states; empty unless the positions contradict each other."""
-    simulated: SimulatedTime | None = None
+    clock: ClockStatus | None = None
     """None unless the node uses simulated time."""
-    is_dry_run: bool = False
-    """Whether a dry run is active, so that no commands are sent."""
     silence: float = 0.0
     """Time since the last report of any joint on joint_states [s]."""
     state_rate: float = 0.0

@@ -11,11 +11,12 @@ import math
 
 import numpy as np
 
+from ..robot.limit_checks import implausible_positions
 from ..robot.model import Floats
 from .loop import ControlLoop
 from .settings import Mode, StalePolicy
-from .status import GraphInfo, Level, NodeNames, SimulatedTime
-from .supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
+from .status import GraphInfo, Level, NodeNames
+from .supervision import COMPUTING_PHASES, Phase, recovery_time, TOO_FAR_PHASES
 
 _LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
@@ -27,12 +28,12 @@ _PAUSE = 5.0  # [s]; a longer standstill of simulated time is reported
 Judgement = tuple[Level, str]
 
 
-def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
+def activity(now: float, loop: ControlLoop) -> str:
     """Describe what the active control loop does and why; ``now`` is in [s]."""
     doing = _computing(loop)
     if not doing:
-        doing = f'{_consequence(loop, is_dry_run)}: {_reason_to_stop(now, loop)}'
-    return f'dry run: {doing}' if is_dry_run else doing
+        doing = f'{_consequence(loop)}: {_reason_to_stop(now, loop)}'
+    return f'dry run: {doing}' if loop.dry_run.is_active else doing
 
 
 def _computing(loop: ControlLoop) -> str:
@@ -49,10 +50,10 @@ def _computing(loop: ControlLoop) -> str:
     return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
 
 
-def _consequence(loop: ControlLoop, is_dry_run: bool) -> str:
+def _consequence(loop: ControlLoop) -> str:
     controller = loop.controller
     if not controller.has_effort:
-        return 'stopped' if is_dry_run else 'stopped, zeros sent'
+        return 'stopped' if loop.dry_run.is_active else 'stopped, zeros sent'
     is_stopped = controller.phase is Phase.STOPPED
     if is_stopped or controller.settings.on_stale_state is StalePolicy.ZERO:
         return 'ramping efforts down'
@@ -72,7 +73,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.controller.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
-        return f'{loop.controller.phase.value}: {loop.controller.cause_of_failure()}'
+        return f'{loop.controller.phase.value}: {loop.controller.law.cause_of_failure()}'
     if loop.lacks_imu:
         return 'no message on imu yet'
     if not loop.collector.is_consistent:
@@ -99,11 +100,11 @@ def describe_lost_imu(now: float, loop: ControlLoop) -> str:
 
 def describe_recovery(loop: ControlLoop) -> str:
     """Describe when efforts rise again after a loss of joint states."""
-    controller = loop.controller
+    timeout = loop.controller.settings.state_timeout
     return (
         'joint states were lost or contradictory; efforts rise again after joint states have '
-        f'arrived for {controller.recovery_time:g} s without a gap longer than state_timeout '
-        f'({controller.settings.state_timeout:g} s)'
+        f'arrived for {recovery_time(timeout):g} s without a gap longer than state_timeout '
+        f'({timeout:g} s)'
     )
 
 
@@ -116,7 +117,7 @@ def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> d
     """
     question = 'does more than one node publish this joint?'
     if publishers:
-        question = f'published by {join_names(publishers)}'
+        question = f'published by {NodeNames.of(publishers)}'
     return {
         joint: f'positions of {joint} alternate between {min(pair):.4g} and {max(pair):.4g} '
         f'faster than the joint can move ({question})'
@@ -182,7 +183,7 @@ def describe_light_joints(loop: ControlLoop) -> str:
     is_light = (gains['impedance_damping'] > damping) | (gains['stiffness'] > stiffness)
     texts = [
         f'{joint} may oscillate: with its inertia ({inertia[k]:.2g}) and a delay of '
-        f'{1e3 * _DELAY:g} ms, impedance_damping may be at most {damping[k]:.2g} and stiffness '
+        f'{1e3 * _DELAY:g} ms, impedance_damping should be at most {damping[k]:.2g} and stiffness '
         f'at most {stiffness[k]:.2g}'
         for k, joint in enumerate(loop.controller.joints)
         if is_light[k]
@@ -193,12 +194,9 @@ def describe_light_joints(loop: ControlLoop) -> str:
 
 def describe_implausible(loop: ControlLoop) -> dict[str, str]:
     """Describe, by joint name, positions that are far outside the position limits."""
-    return {found.joint: str(found) for found in loop.implausible_positions()}
-
-
-def join_names(names: Sequence[str]) -> str:
-    """Join the first few names, and add the number of further names."""
-    return str(NodeNames.of(names))
+    collector = loop.collector
+    known = np.where(collector.times > -math.inf, collector.q, math.nan)
+    return {found.joint: str(found) for found in implausible_positions(loop.robot, known)}
 
 
 def judge_loop(
@@ -209,7 +207,7 @@ def judge_loop(
         return Level.OK, around.state
     if requested and 0.0 < rate < _SLOW * requested:
         return Level.WARN, f'only {rate:.1f} commands/s'
-    return Level.OK, activity(now, loop, is_dry_run=around.is_dry_run)
+    return Level.OK, activity(now, loop)
 
 
 def judge_messages(recently: int, total: int) -> Judgement:
@@ -244,7 +242,7 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return Level.WARN, f'never reported: {joints}; their locked positions are used'
     is_closed = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
     if is_closed and collector.without_velocity():
-        return Level.WARN, f'no velocities are reported: {settings.mode.value} has no damping'
+        return Level.WARN, f'no velocities are reported, so {settings.mode.value} has no damping'
     return Level.OK, 'fresh'
 
 
@@ -262,15 +260,15 @@ def judge_efforts(
     now: float, loop: ControlLoop, around: GraphInfo, clamped: Sequence[str]
 ) -> Judgement:
     """Report commands without subscribers, and joints whose efforts were cut to their limits."""
-    if around.is_active and not around.receivers and not around.is_dry_run:
+    if around.is_active and not around.receivers and not loop.dry_run.is_active:
         message = 'the commands have no subscribers'
-        if around.others.subscribers:
-            names = join_names(around.others.subscribers)
-            message += f' that match; other type or quality of service: {names}'
+        if around.others.subscribers.first:
+            names = around.others.subscribers
+            message += f' that match; type or quality of service differs: {names}'
         return Level.WARN, message
     if clamped:
         return Level.WARN, f'effort cut to its limit: {", ".join(clamped)}'
-    return Level.OK, activity(now, loop, is_dry_run=around.is_dry_run)
+    return Level.OK, activity(now, loop)
 
 
 def judge_model(now: float, loop: ControlLoop) -> Judgement:
@@ -287,39 +285,39 @@ def judge_model(now: float, loop: ControlLoop) -> Judgement:
     return Level.OK, f"robot '{loop.robot.name}'"
 
 
-def judge_other_nodes(around: GraphInfo) -> Judgement:
+def judge_other_nodes(loop: ControlLoop | None, around: GraphInfo) -> Judgement:
     """Report nodes that publish the same commands or have the same name."""
     others = around.others
     problems = []
-    if others.rivals:
-        problems.append(f'{others.commands} is also published by {join_names(others.rivals)}')
+    if others.rivals.first:
+        problems.append(f'{others.commands} is also published by {others.rivals}')
     if others.namesakes:
         is_one = others.namesakes == 1
         nodes = 'another node has' if is_one else f'{others.namesakes} other nodes have'
-        problems.append(f'{nodes} the name {others.name}')
+        problems.append(f'{nodes} the name {around.name}')
     if not problems:
         return Level.OK, 'no other node publishes the commands or has this name'
     # Nodes may take turns at publishing on a topic, but must never have the same name.
-    is_error = (around.is_active and not around.is_dry_run) or others.namesakes
+    is_sending = around.is_active and not (loop and loop.dry_run.is_active)
     message = (
         f'{"; ".join(problems)} (stop the other node; a killed node stays listed for up to 20 s)'
     )
-    return Level.ERROR if is_error else Level.WARN, message
+    return Level.ERROR if is_sending or others.namesakes else Level.WARN, message
 
 
-def judge_clock(clock: SimulatedTime) -> Judgement:
-    """Report simulated time that does not advance."""
-    is_late = clock.unchanged_for >= _PAUSE
-    if not clock.time and not clock.publishers:
-        if clock.unchanged_for < _DISCOVERY:
+def judge_clock(time: float, unchanged_for: float, publishers: int) -> Judgement:
+    """Report simulated time that does not advance; see `ClockStatus` for the arguments."""
+    is_late = unchanged_for >= _PAUSE
+    if not time and not publishers:
+        if unchanged_for < _DISCOVERY:
             return Level.OK, 'no message on /clock yet'
-        message = 'use_sim_time is set, but nothing publishes /clock (0 publishers)'
+        message = 'use_sim_time is set, but nothing publishes /clock'
         return Level.ERROR if is_late else Level.WARN, message
     if not is_late:
         return Level.OK, 'simulated time advances'
     message = f'simulated time has not advanced for more than {_PAUSE:g} s'
-    if not clock.publishers:
-        message += ': nothing publishes /clock any more (0 publishers)'
+    if not publishers:
+        message += ': nothing publishes /clock any more'
         return Level.ERROR, message
-    message += f' (publishers of /clock: {clock.publishers}): is the simulation paused?'
+    message += f' (publishers of /clock: {publishers}); is the simulation paused?'
     return Level.WARN, message

@@ -1,8 +1,4 @@
-"""
-Damps the motion during a stop, so that an arm without brakes sinks slowly.
-
-This module uses neither ROS nor a clock. Callers pass the times.
-"""
+"""Damps the motion during a stop, so that an arm without brakes sinks slowly."""
 
 from __future__ import annotations
 
@@ -122,8 +118,7 @@ class StopDamping:
         timeout = self._settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
             return 'the joint states are lost or contradictory'
-        times = np.full(len(state.q), state.time) if state.times is None else state.times
-        q, qd, times = state.q[self._index], state.qd[self._index], times[self._index]
+        q, qd, times = (x[self._index] for x in (state.q, state.qd, state.times))
         if not is_first:
             elapsed = times - self._times
             if not ((elapsed >= 0.0) & (elapsed <= timeout)).all():

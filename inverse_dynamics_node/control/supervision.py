@@ -1,8 +1,4 @@
-"""
-Decides whether efforts may be computed and sent.
-
-This module uses neither ROS nor a clock. Callers pass the times.
-"""
+"""Decides whether efforts may be computed and sent."""
 
 from __future__ import annotations
 
@@ -65,11 +61,6 @@ class DryRun:
         return self._sent is not _Sent.COMPUTED
 
     @property
-    def may_end(self) -> bool:
-        """Whether a dry run is active and the robot no longer holds a nonzero effort."""
-        return self.is_active and not self.has_effort
-
-    @property
     def has_effort(self) -> bool:
         """Whether the last command that was sent contains a nonzero effort."""
         return self._last is not None and bool(self._last.any())
@@ -130,7 +121,6 @@ class StateSupervisor:
         """Phase of the last command."""
         self.is_stopping = False
         """Whether a stop has been requested; the efforts may still be ramping down."""
-        self.dry_run = DryRun()
         self._lost_gain = 0.0  # gain at which the states were lost
         self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
         self._fresh_since = math.inf  # arrival time of the first state after the last gap

@@ -30,23 +30,22 @@ from .equations import (
     Vector,
 )
 from .jit import compile_for, NOT_FINITE, OK, simd_inline, simd_kernel, simd_step
-from .link_kinematics import Axes, axes_in_base, in_base
+from .link_kinematics import axes_in_base, in_base
 from .newton_euler import joint_friction, own_wrench, spring_effort
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 from .robot_table import (
     ARMATURE,
     COUPLING,
     coupling_of,
+    frame_of,
     friction_of,
     JOINT,
     MULTIPLIER,
-    OFFSET,
     OMEGA,
     PARENT,
     POSITION_OFFSET,
     rotation,
     SLIDES,
-    vector,
 )
 
 LANES = 64  # states in a block; fewer states are computed one by one
@@ -225,7 +224,7 @@ def outward_step(
     motion: Any,
 ) -> None:
     """Compute the motion of a link from the motion of its parent."""
-    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
+    R, offset = frame_of(robot[i])
     slides = robot[i, SLIDES] * robot[i, MULTIPLIER]
     turns = robot[i, MULTIPLIER] - slides
     for k in range(LANES):
@@ -240,9 +239,7 @@ def outward_step(
         omega_dot = angular_acceleration(carried, carried_dot, turn, turn_dot)  # (37)
         at_origin = to_link(R, c, s, at_origin)
         accel = sliding_acceleration(at_origin, omega, slide, slide_dot)  # (40)
-        store_lane(motion, i, 0, k, omega)
-        store_lane(motion, i, 3, k, omega_dot)
-        store_lane(motion, i, 6, k, accel)
+        store_vectors(motion, i, 0, k, (omega, omega_dot, accel))
 
 
 @simd_step
@@ -250,11 +247,7 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
     """Compute the `own_wrench` of a link."""
     link = robot[i]
     for k in range(LANES):
-        omega, omega_dot, accel = (
-            lane(motion, i, 0, k),
-            lane(motion, i, 3, k),
-            lane(motion, i, 6, k),
-        )
+        omega, omega_dot, accel = vectors(motion, i, 0, k)
         force, moment = own_wrench(link, omega, omega_dot, accel)  # (44), (41), (42)
         store_lane(wrench, i, 0, k, force)
         store_lane(wrench, i, 3, k, moment)
@@ -263,7 +256,7 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
 @simd_step
 def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parents: Any) -> None:
     """Add the wrench of a link to the wrench of the parent."""
-    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
+    R, offset = frame_of(robot[i])
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
         p = origin_in_parent(R, offset, length)
@@ -343,20 +336,20 @@ def regressor_pass(
 def hold_base_frame(frames: Any) -> None:
     """Set the axes and the origin of the base in every lane."""
     for k in range(LANES):
-        store_axes(frames, 0, k, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+        store_vectors(frames, 0, 0, k, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
         store_lane(frames, 0, 9, k, (0.0, 0.0, 0.0))
 
 
 @simd_step
 def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames: Any) -> None:
     """Compute the axes and the origin of a link in coordinates of the base."""
-    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
+    R, offset = frame_of(robot[i])
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
-        axes_P = lane_axes(parents, parent, k)
+        axes_P = vectors(parents, parent, 0, k)
         p = in_base(axes_P, origin_in_parent(R, offset, length))
-        store_axes(frames, i, k, axes_in_base(axes_P, R, c, s))
-        store_lane(frames, i, 9, k, add(lane_origin(parents, parent, k), p))
+        store_vectors(frames, i, 0, k, axes_in_base(axes_P, R, c, s))
+        store_lane(frames, i, 9, k, add(lane(parents, parent, 9, k), p))
 
 
 @simd_step
@@ -364,12 +357,10 @@ def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
     """Rotate the axes and the motion of a link into the URDF frame of the link."""
     R = rotation(R_LZ[i])
     for k in range(LANES):
-        own = lane(motion, i, 0, k), lane(motion, i, 3, k), lane(motion, i, 6, k)
-        axes, new = in_frame_of_parameters(R, lane_axes(frames, i, k), own)
-        store_axes(turned, 0, k, axes)
-        store_lane(turned, 0, 9, k, new[0])
-        store_lane(turned, 0, 12, k, new[1])
-        store_lane(turned, 0, 15, k, new[2])
+        axes, own_motion = vectors(frames, i, 0, k), vectors(motion, i, 0, k)
+        axes, own_motion = in_frame_of_parameters(R, axes, own_motion)
+        store_vectors(turned, 0, 0, k, axes)
+        store_vectors(turned, 0, 9, k, own_motion)
 
 
 @simd_step
@@ -386,10 +377,9 @@ def compute_block(
     """Compute the regressor block of link i and the joint of body ``mover``."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
-        arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
-        twist = unit_twist(lane_axes(turned, 0, k), lane(frames, mover, 6, k), arm, slides)
-        motion = lane(turned, 0, 9, k), lane(turned, 0, 12, k), lane(turned, 0, 15, k)
-        f = block(twist, motion)
+        arm = subtract(lane(frames, i, 9, k), lane(frames, mover, 9, k))
+        twist = unit_twist(vectors(turned, 0, 0, k), lane(frames, mover, 6, k), arm, slides)
+        f = block(twist, vectors(turned, 0, 9, k))
         factors[pair, k] = multiplier * f[0]
         store_lane(factors, pair, 1, k, (multiplier * f[1], multiplier * f[2], multiplier * f[3]))
         store_lane(factors, pair, 4, k, (multiplier * f[4], multiplier * f[5], multiplier * f[6]))
@@ -439,20 +429,17 @@ def store_lane(rows: Any, i: int, j: int, k: int, v: Vector) -> None:
 
 
 @simd_inline
-def lane_axes(frames: Any, i: int, k: int) -> Axes:
-    return lane(frames, i, 0, k), lane(frames, i, 3, k), lane(frames, i, 6, k)
+def vectors(rows: Any, i: int, j: int, k: int) -> tuple[Vector, Vector, Vector]:
+    """Read three vectors, such as the axes or the motion of a link."""
+    return lane(rows, i, j, k), lane(rows, i, j + 3, k), lane(rows, i, j + 6, k)
 
 
 @simd_inline
-def lane_origin(frames: Any, i: int, k: int) -> Vector:
-    return lane(frames, i, 9, k)
-
-
-@simd_inline
-def store_axes(frames: Any, i: int, k: int, axes: Axes) -> None:
-    store_lane(frames, i, 0, k, axes[0])
-    store_lane(frames, i, 3, k, axes[1])
-    store_lane(frames, i, 6, k, axes[2])
+def store_vectors(rows: Any, i: int, j: int, k: int, three: tuple[Vector, Vector, Vector]) -> None:
+    """Write three vectors, such as the axes or the motion of a link."""
+    store_lane(rows, i, j, k, three[0])
+    store_lane(rows, i, j + 3, k, three[1])
+    store_lane(rows, i, j + 6, k, three[2])
 
 
 @simd_inline

@@ -42,7 +42,7 @@ class EffortTerms(NamedTuple):
     inertial: Floats
     """Efforts M(q) qdd due to the joint accelerations; M includes armature."""
     coriolis: Floats
-    """Coriolis and centrifugal efforts C(q, qd) qd; C includes the rotation of the base."""
+    """Coriolis and centrifugal efforts C(q, qd) qd; C also depends on the rotation of the base."""
     gravity: Floats
     """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
@@ -174,21 +174,12 @@ _ABSENT: dict[str, tuple[int | slice, ...]] = {
 """Columns of the robot table that are set to zero for each effort term."""
 
 
-class TermTables(NamedTuple):
-    """Four robot tables for `effort_terms`, one table for each term."""
-
-    inertial: Floats
-    coriolis: Floats
-    gravity: Floats
-    external: Floats
-
-
-def term_tables(table: Floats) -> TermTables:
-    """Copy a robot table for each term, and set the columns in `_ABSENT` to zero."""
-    tables = TermTables(*(table.copy() for _ in _ABSENT))
-    for term, columns in _ABSENT.items():
+def term_tables(table: Floats) -> list[Floats]:
+    """Copy a robot table for each term in `_ABSENT`, and set the absent columns to zero."""
+    tables = [table.copy() for _ in _ABSENT]
+    for copy, columns in zip(tables, _ABSENT.values(), strict=True):
         for part in columns:
-            getattr(tables, term)[:, part] = 0.0
+            copy[:, part] = 0.0
     return tables
 
 

@@ -32,7 +32,7 @@ from .arguments import (
     read_joints,
     read_vector,
 )
-from .effort_terms import EffortTerms, JointWrenches, TermTables
+from .effort_terms import EffortTerms, JointWrenches
 from .jit import prepared
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -231,7 +231,7 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        table = self._term_tables().coriolis
+        _, table, _, _ = self._term_tables()
         if not self._is_rotating:
             return self._efforts_in(table, q, qd, self._zeros, out)
         # Computed first, because `out` may be q.
@@ -607,7 +607,9 @@ class InverseDynamics:
         if payload.mass > 0.0:
             payload = payload.rotate(self.robot.link_rotation[k])
             self._payloads[link] = payload.shift(self.robot.link_position[k])
-        self._write_inertial(int(self.robot.link_body[k]))
+        body = int(self.robot.link_body[k])
+        robot_table.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
+        self.revision += 1
 
     def set_external_wrench(
         self,
@@ -635,7 +637,10 @@ class InverseDynamics:
         R = self.robot.link_rotation[k]
         f, n = R @ read_vector('force', force, 'N'), R @ read_vector('moment', moment, 'N m')
         self._wrenches[link] = f, n + np.cross(self.robot.link_position[k], f)
-        self._write_external(int(self.robot.link_body[k]))
+        body = int(self.robot.link_body[k])
+        wrenches = self._on_body(self._wrenches, body)
+        robot_table.write_external(self._table[body], self._R_ZL[body], wrenches)
+        self.revision += 1
 
     def set_friction(
         self,
@@ -688,7 +693,7 @@ class InverseDynamics:
         coulomb = read_joints('coulomb', coulomb, n)
         speeds = read_joints('width', width, n)
         if not (speeds >= np.finfo(float).tiny).all():  # the inverse must not overflow
-            raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
+            raise ConfigurationError(f'width is {width!r}, expected values above 0 [rad/s or m/s]')
         per_load = read_joints('load_friction', load_friction, n)
         per_root = read_joints('sqrt_damping', sqrt_damping, n)
         # A failing call changes nothing, because all arguments have been checked before.
@@ -745,7 +750,7 @@ class InverseDynamics:
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
                 raise ConfigurationError(
                     f"coupling of joint '{self.robot.joint_names[k]}' is {values[k]}, expected 0 "
-                    'because the joint has no previous joint'
+                    'because no joint precedes this joint'
                 )
         return values
 
@@ -833,15 +838,16 @@ class InverseDynamics:
 
     def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
         """Compute the terms of many states."""
-        zeros, tables, terms = np.zeros(q.shape), self._term_tables(), EffortTerms(*out)
-        self._efforts_in(tables.inertial, q, zeros, qdd, terms.inertial)
+        zeros, terms = np.zeros(q.shape), EffortTerms(*out)
+        inertial, _, gravity, external = self._term_tables()
+        self._efforts_in(inertial, q, zeros, qdd, terms.inertial)
         self.coriolis_efforts(q, qd, terms.coriolis)
-        self._efforts_in(tables.gravity, q, zeros, zeros, terms.gravity)
-        self._efforts_in(tables.external, q, zeros, zeros, terms.external)
+        self._efforts_in(gravity, q, zeros, zeros, terms.gravity)
+        self._efforts_in(external, q, zeros, zeros, terms.external)
         if prepared(effort_terms.friction_batch, 2, 2, 3, 2)(qd, qdd, out, self._table):
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
 
-    def _term_tables(self) -> TermTables:
+    def _term_tables(self) -> list[Floats]:
         """Return tables for `effort_terms` that contain the present loads."""
         revision, tables = self._terms
         if revision != self.revision:
@@ -857,15 +863,6 @@ class InverseDynamics:
 
     def _write_base(self) -> None:
         robot_table.write_base(self._table[0], self._base_motion, self._gravity)
-        self.revision += 1
-
-    def _write_inertial(self, body: int) -> None:
-        robot_table.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
-        self.revision += 1
-
-    def _write_external(self, body: int) -> None:
-        wrenches = self._on_body(self._wrenches, body)
-        robot_table.write_external(self._table[body], self._R_ZL[body], wrenches)
         self.revision += 1
 
     def _on_body(self, loads: dict[str, Any], body: int) -> Sequence[Any]:

@@ -35,29 +35,42 @@ _compiling = threading.Lock()
 _has_warned = False
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Function, **options: Any) -> Function:
     """Prepare a function for `compile_for`, and for the cache on disk."""
-    return _kept(function) if IS_COMPILED else function
+    if not IS_COMPILED:
+        return function
+    try:
+        dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
+    except RuntimeError as error:
+        # No cache directory is writable, for example in a service without a home directory.
+        _warn(error)
+        dispatcher = numba.njit(error_model='numpy', **options)(function)
+    else:
+        # numba discards cached code only if the file of the function has changed. The stamp of the
+        # folder also covers the inlined functions of other files. numba has no public function
+        # that replaces a stamp.
+        folder = Path(function.__code__.co_filename).parent
+        dispatcher._cache._cache_file._source_stamp = _stamp(folder)
+        _cached.append(dispatcher)
+    return cast(Function, dispatcher)
 
 
 def simd_kernel(function: Function) -> Function:
     """Prepare a function of `batch` for `compile_for`, without the global interpreter lock."""
-    return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
+    return compiled(function, fastmath=FAST_MATH, nogil=True)
 
 
-def simd_step(function: Function) -> Function:
+def simd_step(function: Function, **options: bool) -> Function:
     """Prepare a function that loops over lanes, for calls from a `simd_kernel`."""
     if not IS_COMPILED:
         return function
-    return cast(Function, numba.njit(error_model='numpy', fastmath=FAST_MATH)(function))
+    prepare = numba.njit(error_model='numpy', fastmath=FAST_MATH, **options)
+    return cast(Function, prepare(function))
 
 
 def simd_inline(function: Function) -> Function:
     """Prepare a function for inlining, because a loop that calls functions is not vectorised."""
-    if not IS_COMPILED:
-        return function
-    options = {'error_model': 'numpy', 'fastmath': FAST_MATH, 'forceinline': True}
-    return cast(Function, numba.njit(**options)(function))
+    return simd_step(function, forceinline=True)
 
 
 def compile_for(function: Any, *signatures: str) -> None:
@@ -112,23 +125,6 @@ def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., in
         return status
 
     return on_lists
-
-
-def _kept(function: Function, **options: Any) -> Function:
-    try:
-        dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
-    except RuntimeError as error:
-        # No cache directory is writable, for example in a service without a home directory.
-        _warn(error)
-        dispatcher = numba.njit(error_model='numpy', **options)(function)
-    else:
-        # numba discards cached code only if the file of the function has changed. The stamp of the
-        # folder also covers the inlined functions of other files. numba has no public function
-        # that replaces a stamp.
-        folder = Path(function.__code__.co_filename).parent
-        dispatcher._cache._cache_file._source_stamp = _stamp(folder)
-        _cached.append(dispatcher)
-    return cast(Function, dispatcher)
 
 
 @cache

@@ -52,7 +52,6 @@ from .robot_table import (
     OMEGA,
     OMEGA_DOT,
     PARENT,
-    place_of,
     POSITION_OFFSET,
     PRELOAD,
     RATE,
@@ -209,7 +208,7 @@ def inward_pass(tau: Any, robot: Any) -> None:
         parent, joint, multiplier, slides = joint_of(link)
         carrier = robot[parent]
         R, p = frame_of(link)
-        c, s, length = place_of(link)
+        c, s, length = link[COSINE], link[SINE], link[LENGTH]
         force, moment = wrench_of(link)
         p = origin_in_parent(R, p, length)
 

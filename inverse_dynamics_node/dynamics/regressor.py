@@ -26,12 +26,10 @@ from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
 from .link_kinematics import Axes, axes, hold_base_axes, in_base, in_frame, place_in_base
 from .newton_euler import outward_pass
 from .robot_table import (
-    ACCEL,
     JOINT,
     JOINT_COUNT,
+    motion_of,
     MULTIPLIER,
-    OMEGA,
-    OMEGA_DOT,
     PARENT,
     POSITION,
     rotation,
@@ -76,11 +74,8 @@ def regressor(
     residue = 0.0
     for i in range(1, b):
         link = robot[i]
-        own_axes, motion = in_frame_of_parameters(
-            rotation(R_LZ[i]),
-            axes(link),
-            (vector(link, OMEGA), vector(link, OMEGA_DOT), vector(link, ACCEL)),
-        )
+        R = rotation(R_LZ[i])
+        own_axes, motion = in_frame_of_parameters(R, axes(link), motion_of(link))
         p, first, k = vector(link, POSITION), PARAMETERS * (i - 1), i
         while k > 0:
             mover = robot[k]
@@ -100,11 +95,7 @@ def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
     turned = in_base(axes_Z, x), in_base(axes_Z, y), in_base(axes_Z, z)
     omega, omega_dot, accel = motion
     new = (x, y, z)
-    return turned, (
-        in_frame(new, omega),
-        in_frame(new, omega_dot),
-        in_frame(new, accel),
-    )
+    return turned, (in_frame(new, omega), in_frame(new, omega_dot), in_frame(new, accel))
 
 
 @simd_inline
@@ -132,7 +123,7 @@ def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vecto
 @simd_inline
 def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -> Any:
     """
-    Return the factors of a body's ten parameters in the effort of a joint.
+    Return the ten factors that multiply a body's parameters in the effort of a joint.
 
     ``twist`` contains w and v, the velocities of `unit_twist`. The first moment is h, and the
     inertia about the origin is I. The net force is m accel + omega_dot x h + omega x (omega x h).

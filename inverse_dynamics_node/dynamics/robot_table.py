@@ -143,12 +143,6 @@ def coupling_of(row: Any) -> Any:
 
 
 @simd_inline
-def place_of(row: Any) -> Any:
-    """Read the cosine and sine of the joint angle, and the sliding distance."""
-    return row[COSINE], row[SINE], row[LENGTH]
-
-
-@simd_inline
 def motion_of(row: Any) -> Any:
     """Read omega, omega_dot and accel of a body."""
     return vector(row, OMEGA), vector(row, OMEGA_DOT), vector(row, ACCEL)

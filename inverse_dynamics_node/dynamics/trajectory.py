@@ -86,7 +86,7 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     counts = wanted.astype(np.int64)
     points: Integers = np.concatenate([[0], np.cumsum(counts)])
     if velocities is None or accelerations is None:
-        raise TrajectoryError('velocities or accelerations are missing in the trajectory')
+        raise TrajectoryError('the trajectory has no velocities or no accelerations')
     if len(times) == 1 or np.all(counts == 1):
         return whole, points
     from scipy.interpolate import BPoly
@@ -118,8 +118,8 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     rate = (k - 1) / float(trajectory.times[-1] - trajectory.times[0]) if k > 1 else 0.0
     if k < _FEWEST_TO_SMOOTH or not 0.0 < cutoff < 0.5 * rate:
         raise TrajectoryError(
-            f'{k} points at {rate:.3g} Hz cannot be smoothed at {cutoff:g} Hz, expected '
-            f'at least {_FEWEST_TO_SMOOTH} points at more than {2.0 * cutoff:g} Hz'
+            f'{k} points at {rate:.3g} Hz cannot be smoothed with a cutoff of {cutoff:g} Hz, '
+            f'expected at least {_FEWEST_TO_SMOOTH} points at more than {2.0 * cutoff:g} Hz'
         )
     from scipy.signal import butter, sosfiltfilt
 
@@ -212,13 +212,15 @@ def _check(trajectory: Trajectory) -> None:
                 f'point {point}, expected finite numbers'
             )
     if not np.isfinite(times).all():
-        raise TrajectoryError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
+        raise TrajectoryError(
+            f'one of the times is {times[~np.isfinite(times)][0]}, expected finite times'
+        )
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if len(late):
         point = int(late[0]) + 1
         raise TrajectoryError(
-            f'point {point} is at {times[point]:g} s, expected a time after point {point - 1} '
-            f'at {times[point - 1]:g} s'
+            f'point {point} is at {times[point]:g} s, expected a time later than '
+            f'{times[point - 1]:g} s, the time of point {point - 1}'
         )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from ..control.loop import ControlLoop
 from ..control.settings import LoadSettings
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
-from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
 from .parameters import BaseMotion, Configuration, PARAMETERS
@@ -31,18 +30,10 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Build the control loop, and call the functions that are slow at their first call."""
-    loop = build_loop(configuration, robot, text)
-    loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
-    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports scipy.interpolate
-    return loop
-
-
-def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
     """
     Build the control loop of a robot; `text` is the URDF of the robot.
 
-    A call takes less than a millisecond if `make_loop` has been called before. Raise an
+    The first call compiles functions; later calls take less than a millisecond. Raise an
     InverseDynamicsError if the parameters do not fit the robot.
     """
     loop = ControlLoop(
@@ -57,7 +48,8 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
         configuration.base_motion is BaseMotion.IMU,
     )
     loop.description = text
-    apply_configuration(loop, configuration, check_configuration(loop, configuration))
+    apply_configuration(loop, configuration)
+    loop.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))  # compiles further functions
     return loop
 
 
@@ -72,8 +64,8 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapp
     for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
         raise ConfigurationError(
             f"spring_stiffness of joint '{loop.controller.joints[k]}' is "
-            f'{of_joint["spring_stiffness"][k]:g}, expected 0: the joint is continuous, and its '
-            'reported position may omit full turns'
+            f'{of_joint["spring_stiffness"][k]:g}, expected 0: the reported position of a '
+            'continuous joint may omit full turns'
         )
     coupling = np.zeros(len(loop.robot.joint_names))
     coupling[loop.index] = of_joint['drive_coupling']
@@ -82,18 +74,15 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapp
 
 
 def apply_configuration(
-    loop: ControlLoop,
-    configuration: Configuration,
-    of_joint: Mapping[str, Floats],
-    before: Configuration | None = None,
+    loop: ControlLoop, configuration: Configuration, before: Configuration | None = None
 ) -> None:
     """
-    Apply the parameters that may change while the loop runs.
+    Apply the parameters that may change while the loop runs; see `check_configuration`.
 
-    `of_joint` is the result of `check_configuration`. `before` is the old configuration.
-    Unchanged gravity is not applied, because a message on ~/gravity may have replaced the
-    parameter.
+    `before` is the old configuration. Unchanged gravity is not applied, because a message on
+    ~/gravity may have replaced the parameter.
     """
+    of_joint = check_configuration(loop, configuration)
     changed = {
         name
         for name in PARAMETERS
@@ -110,7 +99,7 @@ def apply_configuration(
     if before is not None and 'gravity' in changed and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
     # This call also blends in the changes above.
-    loop.controller.apply(configuration, of_joint)
+    loop.controller.apply(configuration)
 
 
 def _apply_drives(

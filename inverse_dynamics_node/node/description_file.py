@@ -15,7 +15,7 @@ from ..errors import ConfigurationError, shortened, UrdfError
 from ..robot.model import RobotModel
 from ..robot.urdf import load_urdf
 from ..robot.urdf.xml import parse, read_source
-from .configure import build_loop
+from .configure import make_loop
 from .parameters import Configuration
 from .worker import Worker
 
@@ -35,8 +35,8 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     text = configuration.robot_description or description
     if not text:
         raise ConfigurationError(
-            'there is no robot description: the topic has none, and neither robot_description nor '
-            'robot_description_file is set'
+            'there is no robot description: none has arrived on the topic, and neither parameter '
+            'robot_description nor robot_description_file is set'
         )
     if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open the text as a file
         is_parameter = bool(configuration.robot_description)
@@ -71,7 +71,7 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
         where = ''
         if file != str(path):
             is_relative = path == Path.cwd() / file
-            where = f" ('{file}'{f', working directory {Path.cwd()}' if is_relative else ''})"
+            where = f" (given as '{file}'{f' in {Path.cwd()}' if is_relative else ''})"
         if '.xacro ' in file:
             where += '; arguments for xacro have the form NAME:=VALUE'
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
@@ -93,17 +93,17 @@ def _load_xacro(
         import xacro
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f'{error}: install xacro (apt install ros-jazzy-xacro, or pip install xacro)'
+            f'{error}; install xacro (apt install ros-jazzy-xacro, or pip install xacro)'
         ) from None
     try:
         text = xacro.process_file(str(path), mappings=arguments).toprettyxml(indent='  ')
     except Exception as error:  # of any type: xacro evaluates Python expressions
-        raise ConfigurationError(f'xacro: {error or repr(error)}') from None
+        raise ConfigurationError(f'xacro failed: {error or repr(error)}') from None
     try:
         return load_urdf(text, on_missing_inertial), text
     except UrdfError as error:
         # The line numbers in the problems refer to the output of xacro.
-        raise UrdfError(error.problems, f'output of xacro {path}') from None
+        raise UrdfError(error.problems, f'output of xacro for {path}') from None
 
 
 def _text_of(path: Path) -> str:
@@ -147,7 +147,7 @@ def _share_directory(package: str) -> Path:
             + (prefixes or 'empty: source the setup.bash of the workspace')
         ) from None
     except ModuleNotFoundError as error:
-        raise ConfigurationError(f'package:// needs ament_index_python: {error}') from None
+        raise ConfigurationError(f'package:// needs ament_index_python ({error})') from None
 
 
 class DescriptionLoader:
@@ -199,6 +199,5 @@ class DescriptionLoader:
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None
-        loop = build_loop(configuration, *loading.result())
-        dropped = loop.continue_from(old) if is_active else loop.copy_inputs_from(old)
-        return loop, dropped
+        loop = make_loop(configuration, *loading.result())
+        return loop, loop.continue_from(old, is_active=is_active)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 import math
 import time
 from typing import Any
@@ -55,9 +56,9 @@ class Inputs:
                 kind, topic, callback, profile, raw=raw, **qos.overridable()
             )
 
-        subscribe(
-            Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE
-        )
+        topic = '~/desired_accelerations'
+        on_accelerations = partial(self._on_reference, topic, _read_accelerations)
+        subscribe(Float64MultiArray, topic, on_accelerations, qos.RELIABLE)
         # Messages for several links may arrive at once.
         subscribe(InertiaStamped, '~/payload', self._on_payload, qos.QUEUED)
         subscribe(WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED)
@@ -67,7 +68,9 @@ class Inputs:
             JointState, 'joint_states', self._on_joint_state, qos.BEST_EFFORT, raw=True
         )
         # Raw, because deserializing a long trajectory takes seconds.
-        subscribe(JointTrajectory, '~/reference', self._on_reference, qos.RELIABLE, raw=True)
+        topic = '~/reference'
+        on_reference = partial(self._on_reference, topic, _read_reference)
+        subscribe(JointTrajectory, topic, on_reference, qos.RELIABLE, raw=True)
         subscribe(
             JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, qos.RELIABLE, raw=True
         )
@@ -120,17 +123,11 @@ class Inputs:
         if len(measured) == count:
             return measured
         if len(measured):  # the positions are still used
-            reason = f'{count} names, but {len(measured)} efforts'
+            reason = f'received {count} names, but {len(measured)} efforts'
             self._runner.reject('joint_states', reason, 'efforts')
         return np.full(count, math.nan)
 
-    def _on_accelerations(self, message: Float64MultiArray) -> None:
-        self._store_reference('~/desired_accelerations', _read_accelerations, message)
-
-    def _on_reference(self, data: bytes) -> None:
-        self._store_reference('~/reference', _read_reference, data)
-
-    def _store_reference(self, topic: str, read: Callable[..., Reference], message: Any) -> None:
+    def _on_reference(self, topic: str, read: Callable[..., Reference], message: Any) -> None:
         loop = self._runner.loop
         if loop is None or not self._runner.is_active:
             return
@@ -144,19 +141,20 @@ class Inputs:
         def store(loop: ControlLoop, now: float) -> None:
             link, mass, com, inertia = _read_payload(message)
             if loop.loads.set_payload(link, mass, com, inertia):
-                load = f'payload on link {link!r}'
-                text = f'{load}: {mass:g} kg' if mass else f'{load} removed'
+                place = f'on link {link!r}'
+                text = f'payload of {mass:g} kg {place}' if mass else f'payload {place} removed'
                 self._log.report_message('~/payload', text, is_problem=False)
 
         self._handle('~/payload', store)
 
     def _on_external_wrench(self, message: WrenchStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            link, force, moment = _read_wrench(message)
+            link, wrench = message.header.frame_id, message.wrench
+            force, moment = _read_vector(wrench.force), _read_vector(wrench.torque)
             if loop.set_external_wrench(now, link, force, moment):
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m act on link '
-                    f"'{link}', until {self._runner.configuration.wrench_timeout:g} s after the "
+                    f"'{link}' until {self._runner.configuration.wrench_timeout:g} s after the "
                     'last message'
                 )
                 self._log.report_message('~/external_wrench', text, is_problem=False)
@@ -171,7 +169,7 @@ class Inputs:
                     f"frame_id is '{shortened(frame)}', expected the base link '{loop.base_link}'"
                 )
             if loop.has_imu:
-                raise ConfigurationError('the IMU measures gravity: parameter base_motion is imu')
+                raise ConfigurationError('the IMU measures gravity (base_motion: imu)')
             gravity = _read_vector(message.vector)
             loop.loads.set_gravity(gravity)
             self._report_gravity(loop, gravity)
@@ -191,9 +189,9 @@ class Inputs:
         is_problem = bool(gravity @ expected < 0.0)
         if is_problem:
             text += (
-                f' is opposite to the parameter gravity ({_listed(expected)}): expected the '
-                'free-fall acceleration, which points to the ground; an IMU at rest measures '
-                'the opposite'
+                f' points against the parameter gravity ({_listed(expected)}); expected the '
+                'free-fall acceleration, which points to the ground (an IMU at rest measures the '
+                'opposite)'
             )
         self._log.report_message('~/gravity', text, is_problem=is_problem)
 
@@ -213,21 +211,13 @@ class Inputs:
         self._handle('imu', store)
 
     def _on_trajectory(self, data: bytes) -> None:
-        self._handle(
-            '~/joint_trajectory_in',
-            lambda loop, now: self._filler.submit(
-                loop,
-                data,
-                self._runner.is_active,
-                lambda error: self._runner.reject('~/joint_trajectory_in', error),
-            ),
-        )
+        self._handle('~/joint_trajectory_in', lambda loop, now: self._filler.submit(loop, data))
 
     def _handle(self, topic: str, store: Callable[[ControlLoop, float], None]) -> None:
         """Store a message in the loop, or log why the message is dropped."""
         now = self._runner.now()
         if self._runner.loop is None:
-            self._runner.reject(topic, 'there is no robot yet')
+            self._runner.reject(topic, 'the node is not configured')
             return
         try:
             store(self._runner.loop, now)
@@ -251,7 +241,7 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
     """Read the first point; missing accelerations and efforts become zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
-            f'the message has {len(data)} bytes, expected at most {_MAX_REFERENCE}: only the '
+            f'the message has {len(data)} bytes, expected at most {_MAX_REFERENCE}; only the '
             'first point is used, so send one point at a time'
         )
     message = deserialize_trajectory(data)
@@ -292,11 +282,7 @@ def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
         [body.ixy, body.iyy, body.iyz],
         [body.ixz, body.iyz, body.izz],
     ]
-    return _frame(message), body.m, _read_vector(body.com), np.array(inertia)
-
-
-def _read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
-    return _frame(message), _read_vector(message.wrench.force), _read_vector(message.wrench.torque)
+    return message.header.frame_id, body.m, _read_vector(body.com), np.array(inertia)
 
 
 def _read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
@@ -316,14 +302,10 @@ def _read_vector(message: Any) -> Floats:
     return np.array([message.x, message.y, message.z])
 
 
-def _frame(message: Any) -> str:
-    return str(message.header.frame_id)
-
-
 def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
     numbers = np.array(values, dtype=np.float64)
     if len(numbers) != len(names):
-        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)}: {listed(names)}')
+        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)} ({listed(names)})')
     is_finite = np.isfinite(numbers)
     if not is_finite.all():
         k = int(np.argmin(is_finite))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
+from itertools import compress
 import math
 import time
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..control.loop import Command, ControlLoop
-from ..control.status import Level, Part
+from ..control.status import Level, NodeNames, Part
 from ..control.status_text import (
     activity,
     describe_alternating,
@@ -19,7 +20,6 @@ from ..control.status_text import (
     describe_late,
     describe_light_joints,
     describe_lost_imu,
-    join_names,
 )
 from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
@@ -51,10 +51,6 @@ class BoundedLogger:
     def error(self, text: str, **options: Any) -> bool:
         return bool(self._logger.error(shortened_lines(text), **options))
 
-    def fatal(self, text: str, **options: Any) -> bool:
-        """Log an error that ends the process."""
-        return bool(self._logger.fatal(shortened_lines(text), **options))
-
 
 class NodeLog:
     """
@@ -77,10 +73,15 @@ class NodeLog:
         self._last_activity = None
         self._changes.clear()
 
-    def warn(self, key: Hashable, text: str | Callable[[], str]) -> None:
-        """Log a warning, unless a warning with the same key was logged a moment ago."""
-        if self._is_due(key):
+    def warn(self, key: Hashable, text: str | Callable[[], str], period: float = _PERIOD) -> None:
+        """Log a warning, unless the last message with the same key is younger than `period`."""
+        if self._is_due(key, period):
             self._logger.warning(text if isinstance(text, str) else text())
+
+    def error(self, key: Hashable, text: str) -> None:
+        """Log an error, unless the same key was used a moment ago."""
+        if self._is_due(key):
+            self._logger.error(text)
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
@@ -103,13 +104,7 @@ class NodeLog:
     def report_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
         """Report joints with contradictory positions, and the nodes that publish joint states."""
         for joint, text in describe_alternating(loop, publishers).items():
-            if self._is_due(('conflict', joint)):
-                self._logger.error(text)
-
-    def report_silence(self, text: str) -> None:
-        """Report that publishers of joint states are connected, but no message arrives."""
-        if text and self._is_due('silence'):
-            self._logger.error(text)
+            self.error(('conflict', joint), text)
 
     def report_robot(self, loop: ControlLoop) -> None:
         """Report the loaded robot, and the warnings about its description."""
@@ -122,10 +117,6 @@ class NodeLog:
             f'the node commands {", ".join(joints)}'
             + (f', and also models {", ".join(others)}' if others else '')
         )
-
-    def report_waiting(self, missing: Callable[[], list[str]]) -> None:
-        """Report which inputs must arrive before the first command."""
-        self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
     def report_part(self, name: str, part: Part | None) -> None:
         """Report a problem in a part of the status every ten seconds, and report its end."""
@@ -144,38 +135,38 @@ class NodeLog:
                 self._logger.warning(part.message)
         self._last_parts[name] = this
 
-    def report_step(
-        self, now: float, loop: ControlLoop, command: Command, *, is_dry_run: bool
-    ) -> None:
+    def report_step(self, now: float, loop: ControlLoop, command: Command) -> None:
         """Report a change of activity and the problems of the step; repeat alarms."""
         controller = loop.controller
         phase = controller.phase
         # The end of a ramp down is reported, even though the phase does not change.
         key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
-            self._report_activity(now, loop, key, is_dry_run)
+            self._report_activity(now, loop, key)
         if loop.has_imu:
             self._report_imu(now, loop)
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
             # A change of the saturated joints is reported at once.
-            joints = command.is_saturated.tobytes()
-            self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
+            joints, flags = controller.joints, command.is_saturated
+            self.warn(
+                ('saturated', flags.tobytes()),
+                lambda: f'effort cut to its limit: {", ".join(compress(joints, flags))}',
+            )
 
     def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
         """Warn that new joint states lack velocities, and name the publishers."""
-        if self._is_due('velocities'):
-            self._logger.warning(
-                f'joint_states: the velocities of {", ".join(joints)} are missing in new messages '
-                f'from {join_names(publishers)}; zero is used'
-            )
+        self.warn(
+            'velocities',
+            f'joint_states: the velocities of {", ".join(joints)} are missing in new messages '
+            f'from {NodeNames.of(publishers)}; zero is used',
+        )
 
     def report_implausible(self, loop: ControlLoop) -> None:
         """Warn about joints that are far outside their position limits."""
         for joint, text in describe_implausible(loop).items():
-            if self._is_due(('implausible', joint), _LONG_PERIOD):
-                self._logger.warning(text)
+            self.warn(('implausible', joint), text, _LONG_PERIOD)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
         """Report the loss of IMU messages every few seconds, and report the end of the loss."""
@@ -185,11 +176,9 @@ class NodeLog:
             self._logger.error(text)
         elif not text and self._has_reported_imu:
             self._has_reported_imu = False
-            self._logger.info('the motion of the base is measured again')
+            self._logger.info('the motion of the base is known again')
 
-    def _report_activity(
-        self, now: float, loop: ControlLoop, key: tuple[Phase, bool], is_dry_run: bool
-    ) -> None:
+    def _report_activity(self, now: float, loop: ControlLoop, key: tuple[Phase, bool]) -> None:
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
                 self._logger.warning(f"joint_states: '{name}' has no velocity; zero is used")
@@ -209,7 +198,7 @@ class NodeLog:
             return  # the next step tries again
         self._changes.append(steady)
         self._last_activity = key
-        text = activity(now, loop, is_dry_run=is_dry_run)
+        text = activity(now, loop)
         if key[0] in _ALARMS:
             self._logger.error(text)
         elif key[0] in TOO_FAR_PHASES:
@@ -217,8 +206,8 @@ class NodeLog:
         else:
             self._logger.info(text)
         light_joints = describe_light_joints(loop) if key[0] in COMPUTING_PHASES else ''
-        if light_joints and self._is_due('light joints', _LONG_PERIOD):
-            self._logger.warning(light_joints)
+        if light_joints:
+            self.warn('light joints', light_joints, _LONG_PERIOD)
 
     def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast
@@ -228,9 +217,3 @@ class NodeLog:
             self._times.clear()
         self._times[key] = now
         return True
-
-
-def _describe_saturated(loop: ControlLoop, command: Command) -> str:
-    joints = loop.controller.joints
-    cut = [name for name, cut in zip(joints, command.is_saturated, strict=True) if cut]
-    return f'effort cut to its limit: {", ".join(cut)}'

@@ -99,11 +99,11 @@ def _main(args: list[str], stop: _Stop) -> int:
 
 def _print_policy(args: list[str]) -> int:
     from ..errors import ConfigurationError
-    from .help import policy_for
+    from .policy import policy
     from .remaps import with_parameter_files
 
     try:
-        print(policy_for(with_parameter_files(args)), end='')
+        print(policy(with_parameter_files(args)), end='')
     except ConfigurationError as error:
         return _fail(str(error))
     return 0
@@ -116,7 +116,7 @@ def _start(args: list[str], stop: _Stop) -> int:
         from ..ros.middleware import security_hints, start_ros
     except ModuleNotFoundError as error:
         return _fail(
-            f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '
+            f'{error}; source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or run '
             "pip install 'inverse_dynamics_node[ros]'"
         )
     from rclpy.utilities import remove_ros_args
@@ -146,12 +146,11 @@ def _run(args: list[str], stop: _Stop) -> int:
 
     from ..ros.middleware import security_hints
     from .node import InverseDynamicsNode
-    from .remaps import ineffective_files, ineffective_remaps, names_of
+    from .remaps import names_of, NodeNames
     from .runner import Watchdog
     from .scheduling import Scheduling
-    from .worker import prepare_to_load, Worker
+    from .worker import Worker
 
-    prepare_to_load()
     scheduling = Scheduling()
     worker = Worker(has_process=True)
     if worker.problem:
@@ -163,8 +162,8 @@ def _run(args: list[str], stop: _Stop) -> int:
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         return 1
     stop.catch()
-    remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
-    for problem in [*ineffective_files(args, node.get_fully_qualified_name()), *remaps]:
+    names = NodeNames(args)
+    for problem in [*names.ineffective_files(), *names.ineffective_remaps(names_of(node))]:
         node.get_logger().warning(problem)
     executor = _make_executor(node.configuration.executor)
     executor.add_node(node)

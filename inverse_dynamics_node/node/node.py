@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 import gc
 import time
 import traceback
@@ -15,7 +15,6 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
-from ..robot.model import Floats
 from ..ros import qos
 from ..ros.graph import Graph
 from .configure import check_configuration, make_loop
@@ -103,7 +102,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._worker,
             configuration,
         )
-        self._filler = TrajectoryFiller(self, log, self._worker)
+        self._filler = TrajectoryFiller(self, self._runner, self._worker)
         self.create_subscription(
             String,
             'robot_description',
@@ -265,12 +264,11 @@ class InverseDynamicsNode(LifecycleNode):
     def _check_change(self, parameters: list[Parameter]) -> None:
         """Check new values, and store them for `_apply_parameters`, which rclpy calls next."""
         before, changed = self.configuration, {}
-        of_joint: Mapping[str, Floats] = {}
-        self._next = before, of_joint
+        self._next = before
         for parameter in parameters:
             if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
                 raise ConfigurationError(
-                    "parameter 'use_sim_time' is read when the process starts"
+                    "parameter 'use_sim_time' is only read when the process starts"
                 )
             if is_own_parameter(parameter.name):
                 if parameter.type_ is Parameter.Type.NOT_SET:
@@ -287,31 +285,30 @@ class InverseDynamicsNode(LifecycleNode):
                 is_live = field in PARAMETERS and PARAMETERS[field].is_live
                 if not is_live and getattr(before, field) != getattr(after, field):
                     raise ConfigurationError(
-                        f"parameter '{name}' is read when the node is configured; deactivate and "
-                        'clean up the node first'
+                        f"parameter '{name}' is only read when the node is configured; deactivate "
+                        'and clean up the node first'
                     )
-            of_joint = check_configuration(self._runner.loop, after)
-        self._next = after, of_joint
+            check_configuration(self._runner.loop, after)
+        self._next = after
 
     def _check_file_change(self, configuration: Configuration) -> None:
         """Raise a ConfigurationError if robot_description_file may not change now."""
         allowed = configuration.allow_description_file_changes
         if allowed is FileChanges.NEVER:
-            reason = 'is read when the process starts'
+            reason = 'cannot be set while the process runs'
         elif allowed is FileChanges.BEFORE_ACTIVATION and self._was_active:
             reason = 'cannot be set after the first activation'
         else:
             return
         raise ConfigurationError(
-            f"parameter 'robot_description_file' {reason}: allow_description_file_changes is "
-            f'{allowed.value}'
+            f"parameter 'robot_description_file' {reason}, because "
+            f'allow_description_file_changes is {allowed.value}'
         )
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        configuration, of_joint = self._next
-        if configuration is self.configuration:
+        if self._next is self.configuration:
             return
-        self._runner.apply(configuration, of_joint)
+        self._runner.apply(self._next)
         if self._runner.loop is None:
             self.autostart()
 

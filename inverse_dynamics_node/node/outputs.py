@@ -20,6 +20,7 @@ from ..ros.cdr import serialize_numbers
 
 TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 """Names of the topics below ``~/terms``, in the order of the fields of `EffortTerms`."""
+_NO_NUMBERS: Floats = np.zeros(0)
 
 
 class Outputs:
@@ -43,8 +44,7 @@ class Outputs:
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
-        self._efforts, self._wrench = JointState(), WrenchStamped()
-        self._complete = JointState()
+        self._joints, self._wrench = JointState(), WrenchStamped()
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
@@ -85,7 +85,8 @@ class Outputs:
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
             if self._joint_commands in self._subscribed:
-                self._publish_joint_commands(loop, sent)
+                joints, motion = loop.controller.joints, loop.drive_reference()
+                self._publish_efforts(self._joint_commands, joints, sent, *motion)
             else:
                 loop.drive.weight = 0.0  # the reference is ramped in for a later subscriber
         by_name = sent if self.may_command_by_name else efforts
@@ -96,8 +97,8 @@ class Outputs:
         """Describe where a dry run publishes efforts; `to` names the topic without efforts."""
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
-            return f'are only computed (dry run): nothing is sent {to}, nor to {by_name}'
-        return f'are on ~/joint_efforts only (dry run): nothing is sent {to}'
+            return f'are only computed (dry run); nothing is sent {to} or to {by_name}'
+        return f'are published on ~/joint_efforts only (dry run); nothing is sent {to}'
 
     def publish_zeros(self, loop: ControlLoop) -> None:
         """Publish zeros, and wait for their delivery."""
@@ -114,20 +115,13 @@ class Outputs:
                 if publisher in self._subscribed:
                     self._publish_efforts(publisher, loop.controller.joints, term)
         if self._base_wrench in self._subscribed:
-            _write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
-            self._wrench.header.stamp = self._clock.now().to_msg()
-            self._base_wrench.publish(self._wrench)
+            self._wrench.header.frame_id = loop.base_link
+            parts = self._wrench.wrench.force, self._wrench.wrench.torque
+            for part, values in zip(parts, loop.base_wrench(), strict=True):
+                part.x, part.y, part.z = values.tolist()
+            self._publish(self._base_wrench, self._wrench)
         if self._external_efforts in self._subscribed:
             self._publish_external_efforts(loop)
-
-    def _publish_joint_commands(self, loop: ControlLoop, efforts: Floats) -> None:
-        message = self._complete
-        _write_joint_efforts(message, loop.controller.joints, efforts)
-        positions, velocities = loop.drive_reference()
-        message.position = array('d', positions.tobytes())
-        message.velocity = array('d', velocities.tobytes())
-        message.header.stamp = self._clock.now().to_msg()
-        self._joint_commands.publish(message)
 
     def _publish_external_efforts(self, loop: ControlLoop) -> None:
         efforts = loop.external_efforts()
@@ -136,18 +130,21 @@ class Outputs:
             names = [loop.robot.joint_names[i] for i in measured]
             self._publish_efforts(self._external_efforts, names, efforts[measured])
 
-    def _publish_efforts(self, publisher: Any, joints: Any, efforts: Floats) -> None:
-        _write_joint_efforts(self._efforts, joints, efforts)
-        self._efforts.header.stamp = self._clock.now().to_msg()
-        publisher.publish(self._efforts)
+    def _publish_efforts(
+        self,
+        publisher: Any,
+        joints: Sequence[str],
+        efforts: Floats,
+        positions: Floats = _NO_NUMBERS,
+        velocities: Floats = _NO_NUMBERS,
+    ) -> None:
+        message = self._joints
+        message.name = list(joints)
+        message.position = array('d', positions.tobytes())
+        message.velocity = array('d', velocities.tobytes())
+        message.effort = array('d', efforts.tobytes())
+        self._publish(publisher, message)
 
-
-def _write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
-    message.name = list(joints)
-    message.effort = array('d', efforts.tobytes())
-
-
-def _write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
-    message.header.frame_id = link
-    for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):
-        part.x, part.y, part.z = values.tolist()
+    def _publish(self, publisher: Any, message: Any) -> None:
+        message.header.stamp = self._clock.now().to_msg()
+        publisher.publish(message)

@@ -14,6 +14,7 @@ from typing import Any
 
 from ..control.settings import PerJoint
 from ..errors import ConfigurationError, plain
+from .scheduling import available_cpus
 
 UNBOUNDED = 1e9
 """Largest magnitude of a number if its parameter declares no smaller limit."""
@@ -31,16 +32,18 @@ class Kind:
     is_numeric: bool = False
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError
-    return value
+def _only(kind: type) -> Callable[[Any], Any]:
+    """Return a function that accepts values of exactly this type."""
+
+    def convert(value: Any) -> Any:
+        if type(value) is not kind:  # a bool is also an instance of int
+            raise TypeError
+        return value
+
+    return convert
 
 
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
+_text, _integer = _only(str), _only(int)
 
 
 def _number(value: Any) -> float:
@@ -50,18 +53,20 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _integer(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError
-    return value
-
-
 def _cpus(value: Any) -> tuple[int, ...]:
+    """Return the CPUs that are given, or () for all CPUs."""
     if isinstance(value, str):
         raise TypeError
-    return (
-        () if value == -1 else tuple(map(_integer, [value] if isinstance(value, int) else value))
-    )
+    if value == -1:
+        return ()
+    cpus = tuple(map(_integer, [value] if isinstance(value, int) else value))
+    unknown = sorted(set(cpus) - available_cpus())
+    if unknown:
+        raise ConfigurationError(
+            f'contains {unknown[0]}, expected CPUs that this process may use: '
+            f'{", ".join(map(str, sorted(available_cpus())))}'
+        )
+    return cpus
 
 
 def _vector(value: Any) -> tuple[float, ...]:
@@ -88,11 +93,13 @@ def _names(value: Any) -> tuple[str, ...]:
 NUMBER = Kind('a finite number', _number, is_numeric=True)
 INTEGER = Kind('an integer', _integer, is_numeric=True)
 _NUMBERS = Kind(
-    'a finite number, or a list with one for each commanded joint', _numbers, is_numeric=True
+    'a finite number, or a list with one number for each commanded joint',
+    _numbers,
+    is_numeric=True,
 )
 _KINDS = {
-    str: Kind('a text', _text),
-    bool: Kind('true or false', _flag),
+    str: Kind('text', _text),
+    bool: Kind('true or false', _only(bool)),
     float: NUMBER,
     int: INTEGER,
     tuple[int, ...]: Kind('-1, a CPU number or a list of CPU numbers', _cpus),
@@ -191,12 +198,9 @@ class Parameter:
         if self.kind.is_numeric:
             numbers = converted if isinstance(converted, tuple) else (converted,)
             if not all(self.minimum <= number <= self.maximum for number in numbers):
+                expected = self.range_text or f'at least {self.minimum:g}'
                 if max(numbers) > UNBOUNDED:
                     expected = f'at most {UNBOUNDED:g}'
-                elif self.maximum == UNBOUNDED:
-                    expected = f'at least {self.minimum:g}'
-                else:
-                    expected = f'{self.minimum:g} to {self.maximum:g}'
                 raise ConfigurationError(f'is {plain(value)}, expected {expected}')
         return _unlimited_where_zero(converted) if self.is_unlimited_at_zero else converted
 

@@ -67,19 +67,21 @@ class Configuration(Settings, LoadSettings):
     robot_description: str = parameter(
         '',
         'The URDF, as XML text',
-        'If empty, the URDF comes from `robot_description_file`, or else from the topic',
+        'If empty, the URDF comes from `robot_description_file`; if that is empty too, from the '
+        'topic',
         is_live=False,
     )
     robot_description_file: str = parameter(
         '',
         'URDF or xacro file: a path, `package://PACKAGE/PATH` or `file:///PATH`',
-        'The file name of a xacro file ends in `.xacro`; arguments `name:=value` may follow',
+        'The name of a xacro file must end in `.xacro`; arguments `name:=value` may follow',
         is_live=False,
     )
     joints: tuple[str, ...] = parameter(
         [''],
         'The joints to command, in the order of `~/commands` and `~/desired_accelerations`',
-        'If empty, all movable joints, in the order of the URDF. The dynamics include all joints',
+        'If empty, all movable joints are commanded, in the order of the URDF. The dynamics '
+        'always include all joints',
         is_live=False,
     )
     base_link: str = parameter(
@@ -111,16 +113,16 @@ class Configuration(Settings, LoadSettings):
     )
     gravity: tuple[float, float, float] = parameter(
         list(STANDARD_GRAVITY),
-        'Free-fall acceleration in the frame of the base link. `~/gravity` changes it too',
+        'Free-fall acceleration in the frame of the base link. Messages on `~/gravity` replace it',
         unit='m/s^2',
         minimum=-LARGEST_GRAVITY,
         maximum=LARGEST_GRAVITY,
     )
     base_motion: BaseMotion = parameter(
         BaseMotion.FIXED.value,
-        'Motion of the base',
-        '`fixed`: the base is at rest, and gravity is that of the parameter. `imu`: messages on '
-        'the topic `imu` replace gravity, and there is no command before the first message',
+        'How the motion of the base is known',
+        '`fixed`: the base is at rest, and the parameter `gravity` applies. `imu`: messages on '
+        'the topic `imu` replace `gravity`, and nothing is commanded before the first message',
         is_live=False,
     )
     imu_orientation: tuple[float, float, float] = parameter(
@@ -138,7 +140,8 @@ class Configuration(Settings, LoadSettings):
         maximum=10_000.0,
     )
     include_gravity: bool = parameter(
-        True, 'Set to false if the driver compensates gravity itself: UR, Franka, KUKA FRI'
+        True,
+        'Set to false if the driver compensates gravity itself, as for UR, Franka and KUKA FRI',
     )
     measured_gravity: MeasuredGravity = parameter(
         MeasuredGravity.AS_COMMANDED.value,
@@ -151,15 +154,15 @@ class Configuration(Settings, LoadSettings):
     measured_effort_scale: PerJoint = parameter(
         1.0,
         'Factor that converts the measured efforts to N m or N',
-        'If the driver measures currents, give the N m per ampere of each joint. If the driver '
-        'measures with the opposite sign, give a negative number',
+        'If the driver reports currents, give the effort per ampere of each joint. If the driver '
+        'reports efforts with the opposite sign, give a negative number',
     )
     include_friction: bool = parameter(
         False,
         'Add the efforts that overcome friction',
-        '`damping` * qd + (`coulomb` + `load_friction` * |load| + `sqrt_damping` * sqrt(|qd|)) * '
-        'tanh(qd / `coulomb_width`), with the load of `load_friction`. `gravity_compensation` '
-        'adds the share `friction_scale`',
+        'The added efforts are `damping` * qd + (`coulomb` + `load_friction` * |load| + '
+        '`sqrt_damping` * sqrt(|qd|)) * tanh(qd / `coulomb_width`); `load_friction` describes the '
+        'load. In mode `gravity_compensation`, only the share `friction_scale` is added',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
@@ -175,14 +178,15 @@ class Configuration(Settings, LoadSettings):
     )
     coulomb_width: PerJoint = parameter(
         FRICTION_WIDTH,
-        'Speed over which Coulomb friction is smoothed',
+        'Speed below which Coulomb friction is smoothed',
         unit='rad/s, m/s',
         minimum=1e-6,
         maximum=100.0,
     )
     load_friction: PerJoint = parameter(
         0.0,
-        'Increase of Coulomb friction per load on the gear: 0.05 adds 5 % of the load',
+        'Coulomb friction per unit of load on the gear, in addition to `coulomb`: 0.05 adds 5 % '
+        'of the load',
         'The load is the effort that moves and holds the links, including payloads, springs and '
         'external wrenches. `armature` and friction act on the motor side and are not part of '
         'the load',
@@ -205,20 +209,22 @@ class Configuration(Settings, LoadSettings):
         0.0,
         'Turns of the drive of a joint per turn of the previous joint, as in coupled wrists',
         'Friction and `armature` are computed from the motion of the drive, and act on this joint '
-        'and the previous joint. Must be 0 for a joint on the base link',
+        'and the previous joint. Must be 0 for a joint attached to the base link',
         minimum=-100.0,
         maximum=100.0,
     )
     spring_stiffness: PerJoint = parameter(
         0.0,
         'Stiffness of a spring or counterweight at each commanded joint',
-        'The model includes the spring for either value of `include_gravity`. The virtual springs '
-        'of `joint_impedance` have the parameter `stiffness`. If the robot has no real spring, '
+        'The model includes this spring even if `include_gravity` is false. For the virtual '
+        'springs of `joint_impedance`, set `stiffness` instead. If the robot has no real spring, '
         'the commands push the joint away from `spring_rest`. Must be 0 for a continuous joint',
         unit='N m/rad, N/m',
     )
     spring_rest: PerJoint = parameter(
-        0.0, 'Joint position at which this spring exerts no effort', unit='rad, m'
+        0.0,
+        'Joint position at which the spring of `spring_stiffness` exerts no effort',
+        unit='rad, m',
     )
     autostart: bool = parameter(
         True,
@@ -234,7 +240,7 @@ class Configuration(Settings, LoadSettings):
     )
     thread_priority: int = parameter(
         50,
-        'Priority of the control loop and the middleware in the scheduling policy `SCHED_FIFO`',
+        '`SCHED_FIFO` priority of the control loop and the middleware',
         'Without permission, the threads keep normal priority, and a warning is logged',
         minimum=1,
         maximum=99,
@@ -243,30 +249,32 @@ class Configuration(Settings, LoadSettings):
     )
     lock_memory: bool = parameter(
         has_realtime_kernel(),
-        'Keep the memory of the process from being swapped out',
+        'Lock the memory of the process, so that it is never swapped out',
         is_live=False,
         is_read_only=True,
         default_note='true with a real-time kernel, otherwise false',
     )
     cpu_affinity: tuple[int, ...] = parameter(
         -1,
-        'The CPU, or list of CPUs, of the control loop and the middleware. -1: all',
+        'CPU, or list of CPUs, on which the control loop and the middleware run. -1: all',
         is_live=False,
         is_read_only=True,
     )
     allow_description_file_changes: FileChanges = parameter(
         FileChanges.BEFORE_ACTIVATION.value,
         'When `robot_description_file` may be set while the process runs',
-        'Its value names a file that this process opens, and code that xacro evaluates. '
-        '`before_activation`: until the node is activated for the first time. `never`: only the '
-        'command line and parameter files set it. Topics never name a file',
+        'The value of `robot_description_file` names a file that this process opens, and may '
+        'contain code that xacro evaluates. `before_activation`: until the node is activated for '
+        'the first time. `never`: only on the command line or in a parameter file. A message on '
+        'the topic is never taken as a file name',
         is_live=False,
         is_read_only=True,
     )
     allow_unknown_parameters: bool = parameter(
         False,
         'Ignore unknown parameters, for example in a file that several nodes share',
-        'By default, they prevent the start, because a mistyped limit is not a limit',
+        'By default, unknown parameters prevent the start, because a limit with a mistyped name '
+        'has no effect',
         is_live=False,
         is_read_only=True,
     )
@@ -284,8 +292,8 @@ LOCKED = 'locked_positions'
 LOCKED_POSITION = Parameter(
     NUMBER,
     None,
-    'Position of a joint that is not commanded, until `joint_states` reports it',
-    'Such a joint is never missing or lost',
+    'Position assumed for a joint that is not commanded, until `joint_states` reports it',
+    'A joint with this parameter never counts as missing or lost',
     unit='rad, m',
     minimum=-math.inf,
     maximum=math.inf,

@@ -1,4 +1,8 @@
-"""Writes an SROS 2 policy for the node and related programs, without ROS."""
+"""
+Lists the topics and services of the node, and writes an SROS 2 policy for them.
+
+The policy also covers related programs. This module does not import ROS.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,37 @@ from typing import NamedTuple
 from xml.sax.saxutils import escape, quoteattr
 
 from .remaps import LIFECYCLE_SERVICES, NodeNames, PUBLISHED_BY_ROS
+
+SUBSCRIBED = {
+    'joint_states': ('sensor_msgs/JointState', 'measured state'),
+    'robot_description': ('std_msgs/String', 'URDF, unless a parameter sets it'),
+    '~/desired_accelerations': ('std_msgs/Float64MultiArray', 'accelerations in joint order'),
+    '~/reference': ('trajectory_msgs/JointTrajectory', 'reference by joint name'),
+    '~/joint_trajectory_in': ('trajectory_msgs/JointTrajectory', 'trajectory to add efforts to'),
+    '~/payload': ('geometry_msgs/InertiaStamped', 'rigid load on a link'),
+    '~/external_wrench': ('geometry_msgs/WrenchStamped', 'wrench exerted on the robot'),
+    '~/gravity': ('geometry_msgs/Vector3Stamped', 'free-fall acceleration'),
+    'imu': ('sensor_msgs/Imu', 'base motion (if base_motion is imu)'),
+}
+PUBLISHED = {
+    '~/commands': ('std_msgs/Float64MultiArray', 'efforts in joint order'),
+    '~/joint_efforts': ('sensor_msgs/JointState', 'efforts by joint name'),
+    '~/joint_commands': ('sensor_msgs/JointState', 'efforts and reference motion'),
+    '~/terms/inertial': ('sensor_msgs/JointState', 'the five terms of the efforts'),
+    '~/terms/velocity': ('sensor_msgs/JointState', ''),
+    '~/terms/gravity': ('sensor_msgs/JointState', ''),
+    '~/terms/friction': ('sensor_msgs/JointState', ''),
+    '~/terms/external': ('sensor_msgs/JointState', ''),
+    '~/external_efforts': ('sensor_msgs/JointState', 'measured minus modelled efforts'),
+    '~/base_wrench': ('geometry_msgs/WrenchStamped', 'wrench of the mount on the base link'),
+    '~/joint_trajectory_out': ('trajectory_msgs/JointTrajectory', 'trajectory with efforts'),
+    '~/robot_description': ('std_msgs/String', 'the robot description in use'),
+    '/diagnostics': ('diagnostic_msgs/DiagnosticArray', 'state of the node, every second'),
+}
+SERVICES = {
+    '~/enable': ('std_srvs/SetBool', 'ramp efforts up (true) or down (false)'),
+    '~/check_model': ('std_srvs/Trigger', 'report on the robot and its limits'),
+}
 
 _HEADER = """\
 <?xml version="1.0" encoding="UTF-8"?>
@@ -40,9 +75,6 @@ class Enclave(NamedTuple):
     """Permissions of the processes that share a certificate; all names are absolute."""
 
     path: str
-    namespace: str
-    node: str
-    """Name of the node; has no effect, because all other names are absolute."""
     subscribe: tuple[str, ...]
     publish: tuple[str, ...]
     reply: tuple[str, ...] = ()
@@ -51,20 +83,13 @@ class Enclave(NamedTuple):
     """Services that the processes call."""
 
 
-def enclaves(
-    arguments: Sequence[str],
-    subscribed: Iterable[str],
-    published: Iterable[str],
-    services: Iterable[str],
-) -> tuple[Enclave, ...]:
+def enclaves(arguments: Sequence[str]) -> tuple[Enclave, ...]:
     """
     Return the enclaves of the node, its driver, `inverse_dynamics watch` and an operator.
 
-    `arguments` is the command line of the node. The topics and services are those of the node,
-    before remapping.
+    `arguments` is the command line of the node.
     """
     names = NodeNames(arguments)
-    subscribed, published, services = tuple(subscribed), tuple(published), tuple(services)
     parent = names.namespace.rstrip('/')
 
     def resolved(given: Iterable[str]) -> tuple[str, ...]:
@@ -72,37 +97,25 @@ def enclaves(
 
     clock = ('/clock',) * names.uses_sim_time
     own = (f'~/{name}' for name in _SERVICES_OF_EVERY_NODE)
-    offered = resolved((*services, *LIFECYCLE_SERVICES, *own))
+    offered = resolved((*SERVICES, *LIFECYCLE_SERVICES, *own))
     simulated = f'{parent}/simulated_robot'
     node = Enclave(
         names.full_name,
-        names.namespace,
-        names.node,
-        subscribe=resolved((*subscribed, *clock)),
-        publish=resolved((*published, *PUBLISHED_BY_ROS)),
+        subscribe=resolved((*SUBSCRIBED, *clock)),
+        publish=resolved((*PUBLISHED, *PUBLISHED_BY_ROS)),
         reply=offered,
     )
     driver = Enclave(
         f'{parent}/driver',
-        names.namespace,
-        'driver',
         subscribe=(*resolved(_COMMANDS), *(f'{simulated}/{topic}' for topic in _SIMULATED)),
         publish=(*resolved((*_ROBOT, *clock, 'brakes')), '/rosout', _EVENTS),
         reply=tuple(f'{simulated}/{name}' for name in ('hold', *_SERVICES_OF_EVERY_NODE)),
     )
-    watch = Enclave(
-        f'{parent}/watch',
-        names.namespace,
-        'watch',
-        subscribe=resolved(_WATCHED),
-        publish=(_EVENTS,),
-    )
-    inputs = [topic for topic in subscribed if topic not in _ROBOT]
+    watch = Enclave(f'{parent}/watch', subscribe=resolved(_WATCHED), publish=(_EVENTS,))
+    inputs = [topic for topic in SUBSCRIBED if topic not in _ROBOT]
     operator = Enclave(
         f'{parent}/operator',
-        names.namespace,
-        'operator',
-        subscribe=resolved((*published, *PUBLISHED_BY_ROS, *_ROBOT, *clock)),
+        subscribe=resolved((*PUBLISHED, *PUBLISHED_BY_ROS, *_ROBOT, *clock)),
         publish=(*resolved(inputs), '/rosout', _EVENTS),
         # The nodes of `ros2` and of user programs may have any name.
         reply=tuple(f'/*/{name}' for name in _SERVICES_OF_EVERY_NODE),
@@ -111,14 +124,16 @@ def enclaves(
     return node, driver, watch, operator
 
 
-def policy(found: Iterable[Enclave]) -> str:
-    """Return the text of an SROS 2 policy file with these enclaves."""
+def policy(arguments: Sequence[str]) -> str:
+    """Return the text of an SROS 2 policy file for a node with these arguments."""
     lines = ['<policy version="0.2.0">', '  <enclaves>']
-    for enclave in found:
+    for enclave in enclaves(arguments):
+        # The name of the node has no effect, because all other names are absolute.
+        namespace, _, node = enclave.path.rpartition('/')
         lines += [
             f'    <enclave path={quoteattr(enclave.path)}>',
             '      <profiles>',
-            f'        <profile ns={quoteattr(enclave.namespace)} node={quoteattr(enclave.node)}>',
+            f'        <profile ns={quoteattr(namespace or "/")} node={quoteattr(node)}>',
             *_rules('topic', 'subscribe', enclave.subscribe),
             *_rules('topic', 'publish', enclave.publish),
             *_rules('service', 'reply', enclave.reply),

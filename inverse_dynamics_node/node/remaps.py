@@ -29,12 +29,12 @@ class NodeNames:
     """Applies the remap rules of a command line to names, as rcl does."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
+        self._arguments = arguments
         self._rules = [rule.partition(':=')[::2] for rule in _remaps(arguments)]
         self.node = NODE_NAME
         self.node = self._remapped('__node', '__name') or NODE_NAME
         self.namespace = f'/{self._remapped("__ns").strip("/")}'
         self.full_name = self._expanded('~')
-        self.uses_sim_time = self._uses_sim_time(arguments)
 
     def resolve(self, name: str) -> str:
         """Return the absolute name of a topic or service, after remapping."""
@@ -43,6 +43,33 @@ class NodeNames:
             if self._expanded(_PREFIX.sub('', self._own(given))) == full_name:
                 return self._expanded(_PREFIX.sub('', target))
         return full_name
+
+    def ineffective_remaps(self, names: Sequence[str]) -> list[str]:
+        """Describe the remap rules that match none of these names of topics and services."""
+        own = set(map(self._expanded, names))
+        problems = []
+        for rule, target in self._rules:
+            given = self._own(_PREFIX.sub('', rule))
+            name = self._expanded(given)
+            if name not in own and '*' not in name and not re.match(r'(\w+:)?__', given):
+                hint = _explain_tilde(f'{rule}:={target}') or did_you_mean(given, names)
+                problems.append(
+                    f'-r {rule}:={target} has no effect: this node has no topic or service '
+                    f'{name}{hint}'
+                )
+        return problems
+
+    def ineffective_files(self) -> list[str]:
+        """Describe the parameter files for other nodes only; rcl must have accepted all files."""
+        problems = []
+        for _, file in _operands(self._arguments, '--params-file'):
+            sections = _sections(_content(file))
+            if sections and not any(map(self._matches, sections)):
+                problems.append(
+                    f'--params-file {file} has no effect: it is for {", ".join(sections)}, but '
+                    f'this node is {self.full_name}'
+                )
+        return problems
 
     def _remapped(self, *names: str) -> str:
         """Return the target of the first remap rule for any of these names, or an empty text."""
@@ -53,15 +80,26 @@ class NodeNames:
         return given.removeprefix(f'{self.node}:')
 
     def _expanded(self, name: str) -> str:
-        return _expanded(name, self.node, self.namespace)
+        """Expand a relative or private name as rcl does."""
+        parent = self.namespace.rstrip('/')
+        if name.startswith('~'):
+            return f'{parent}/{self.node}{name[1:]}'
+        return name if name.startswith('/') else f'{parent}/{name}'
 
-    def _uses_sim_time(self, arguments: Sequence[str]) -> bool:
+    def _matches(self, section: str) -> bool:
+        """Return whether a section of a parameter file is for this node."""
+        words = (re.escape(word) for word in section.split('/'))
+        pattern = '/'.join(words).replace(r'/\*\*', '(/.*)?').replace(r'\*', '[^/]*')
+        return re.fullmatch(pattern, self.full_name) is not None
+
+    @property
+    def uses_sim_time(self) -> bool:
+        """Whether a parameter on the command line or in a file turns on simulated time."""
         value: Any = False
-        for k, given in _operands(arguments, '-p', '--param', '--params-file'):
-            if arguments[k - 1] == '--params-file':
+        for k, given in _operands(self._arguments, '-p', '--param', '--params-file'):
+            if self._arguments[k - 1] == '--params-file':
                 for section, parameters in _sections(_content(given)).items():
-                    is_for_this = re.fullmatch(_pattern(section), self.full_name)
-                    if is_for_this and isinstance(parameters, dict):
+                    if self._matches(section) and isinstance(parameters, dict):
                         value = parameters.get('use_sim_time', value)
             else:
                 name, _, text = given.partition(':=')
@@ -75,29 +113,6 @@ def names_of(node: Any) -> list[str]:
     topics = [entity.topic for entity in (*node.publishers, *node.subscriptions)]
     services = [service.srv_name for service in (*node.services, *node.clients)]
     return [*topics, *services, *_RCL_NAMES]
-
-
-def ineffective_remaps(
-    arguments: Sequence[str], names: Sequence[str], node: str, namespace: str
-) -> list[str]:
-    """
-    Describe the remap rules in `arguments` that match no name of a node.
-
-    `names` are the topics and services of the node, before remapping. `node` and `namespace` are
-    the name and the namespace of the node, after remapping.
-    """
-    own = {_expanded(name, node, namespace) for name in names}
-    problems = []
-    for rule in _remaps(arguments):
-        given = _PREFIX.sub('', rule.partition(':=')[0])
-        given = given.removeprefix(f'{node}:')
-        name = _expanded(given, node, namespace)
-        if name not in own and '*' not in name and not re.match(r'(\w+:)?__', given):
-            hint = _explain_tilde(rule) or did_you_mean(given, names)
-            problems.append(
-                f'-r {rule} has no effect: this node has no topic or service {name}{hint}'
-            )
-    return problems
 
 
 def expanded_tildes(arguments: Sequence[str]) -> list[str]:
@@ -124,23 +139,6 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     return found
 
 
-def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
-    """
-    Describe the parameter files that contain parameters of other nodes only.
-
-    `name` is the fully qualified name of the node. rcl must have accepted the command line.
-    """
-    problems = []
-    for _, file in _operands(arguments, '--params-file'):
-        sections = _sections(_content(file))
-        if sections and not any(re.fullmatch(_pattern(section), name) for section in sections):
-            problems.append(
-                f'--params-file {file} has no effect: it is for {", ".join(sections)}, but this '
-                f'node is {name}'
-            )
-    return problems
-
-
 def _content(file: str) -> Any:
     """Read a parameter file that rcl accepts; return None if the stricter PyYAML rejects it."""
     import yaml  # rclpy needs this module, too
@@ -162,11 +160,6 @@ def _sections(content: Any, path: str = '') -> dict[str, Any]:
     for key, value in content.items():
         found |= _sections(value, f'{path}/{str(key).strip("/")}')
     return found
-
-
-def _pattern(section: str) -> str:
-    words = (re.escape(word) for word in section.split('/'))
-    return '/'.join(words).replace(r'/\*\*', '(/.*)?').replace(r'\*', '[^/]*')
 
 
 def _remaps(arguments: Sequence[str]) -> Iterator[str]:
@@ -196,11 +189,3 @@ def _explain_tilde(rule: str) -> str:
         home = match[0]
     original = f'~/{name[len(home) :]}:={target}'
     return f"; if the shell replaced ~ with the home directory, quote the rule: -r '{original}'"
-
-
-def _expanded(name: str, node: str, namespace: str) -> str:
-    """Expand a relative or private name as rcl does."""
-    parent = namespace.rstrip('/')
-    if name.startswith('~'):
-        return f'{parent}/{node}{name[1:]}'
-    return name if name.startswith('/') else f'{parent}/{name}'

@@ -20,7 +20,6 @@ from .parameters import (
     PARAMETERS,
     VALUE_OF_URDF,
 )
-from .scheduling import available_cpus
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
 _RENAMED = {'payload_transition_time': 'load_ramp'}
@@ -103,12 +102,12 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if name in _RENAMED:
         return f"unknown parameter '{name}'; it is now called '{_RENAMED[name]}'"
     head, _, tail = name.partition('.')
+    if head in (LOCKED, _QOS):
+        return f"parameter '{shortened(name)}' can only be set when the process starts"
     known = [*known, LOCKED]
     hint = did_you_mean(name, known) or did_you_mean(head, known)
     if LOCKED in hint:
         hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
-    if head in (LOCKED, _QOS):
-        hint = ': it can only be set when the process starts'
     return f"unknown parameter '{shortened(name)}'{hint}"
 
 
@@ -174,20 +173,15 @@ def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _contradictions(checked: dict[str, Any]) -> list[str]:
-    """Describe valid values that contradict each other or this machine."""
+    """Describe values that are valid alone, but contradict each other or are in a gap."""
     problems = []
     if checked.get('robot_description') and checked.get('robot_description_file'):
-        problems.append('parameters robot_description and robot_description_file are both set')
+        problems.append(
+            'parameters robot_description and robot_description_file are both set, expected one'
+        )
     if 0.0 < checked.get('update_rate', 0.0) < 1.0:
         problems.append(
             f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
-        )
-    unknown = sorted(set(checked.get('cpu_affinity', ())) - available_cpus())
-    if unknown:
-        expected = ', '.join(map(str, sorted(available_cpus())))
-        problems.append(
-            f"parameter 'cpu_affinity' contains {unknown[0]}, expected CPUs that this process may "
-            f'use: {expected}'
         )
     # The value -1 stands for the value in the URDF. Other negative numbers are invalid.
     for name in ('damping', 'coulomb'):

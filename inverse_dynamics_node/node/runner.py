@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 import threading
 import time
 from typing import Any
@@ -14,10 +14,9 @@ from rclpy.timer import Timer
 
 from ..control.loop import Command, ControlLoop
 from ..control.monitor import Monitor
-from ..control.stop_damping import AT_REST, StopDamping
+from ..control.stop_damping import AT_REST
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
-from ..robot.model import Floats
 from ..ros.graph import Graph
 from .configure import apply_configuration
 from .description_file import DescriptionLoader
@@ -86,15 +85,11 @@ class LoopRunner:
         self._timers.append(self._node.create_timer(period, callback, clock=self._clock))
         return self._timers[-1]
 
-    def apply(self, configuration: Configuration, of_joint: Mapping[str, Floats]) -> None:
-        """
-        Apply changed parameters.
-
-        `of_joint` is the result of `check_configuration`, or empty if there is no loop.
-        """
+    def apply(self, configuration: Configuration) -> None:
+        """Apply changed parameters that `check_configuration` has accepted."""
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
-            apply_configuration(self.loop, configuration, of_joint, before)
+            apply_configuration(self.loop, configuration, before)
             self._watch_after(self._watch_period)
 
     def forget_robot(self) -> None:
@@ -144,13 +139,13 @@ class LoopRunner:
         command = self.loop.step(now)
         if command is None:
             if self.graph.is_discovered:
-                self.log.report_waiting(self._missing)
+                self.log.warn('waiting', self._describe_missing)
             return
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
         self._report_damping(self.loop)
-        self.log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
+        self.log.report_step(now, self.loop, command)
         if self.loop.collector.lost_velocities:
             publishers = self.graph.publishers('joint_states')
             self.log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
@@ -166,7 +161,7 @@ class LoopRunner:
     def _switch_dry_run(self, loop: ControlLoop) -> None:
         """Start a dry run, or end the dry run if the commands are zero."""
         is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
-        time_to_fall = loop.controller.time_to_fall
+        time_to_fall = loop.controller.shaper.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
             return
         if is_wanted:
@@ -178,13 +173,11 @@ class LoopRunner:
         self._node.get_logger().info(text)
         self.log.begin()
 
-    def _missing(self) -> list[str]:
+    def _describe_missing(self) -> str:
         assert self.loop is not None
-        return self.loop.missing(
-            self.graph.with_publishers('joint_states'),
-            self.graph.with_publishers('imu'),
-            self.now(),
-        )
+        states, imu = map(self.graph.with_publishers, ('joint_states', 'imu'))
+        missing = self.loop.missing(states, imu, self.now())
+        return f'no command yet: waiting for {" and ".join(missing)}'
 
     def _explain(self, loop: ControlLoop) -> None:
         try:
@@ -261,7 +254,8 @@ class LoopRunner:
             self.monitor.reject('robot_description', str(error).partition('\n')[0])
             return
         for link in dropped:
-            self._node.get_logger().warning(f"link '{link}' and its payload no longer exist")
+            text = f"link '{link}' no longer exists; its payload was dropped"
+            self._node.get_logger().warning(text)
         self.loop = loop
         self.log.report_robot(loop)
         self.outputs.publish_description(loop)
@@ -296,7 +290,10 @@ class LoopRunner:
             if damping.is_active:
                 time.sleep(min(period or _POLL_PERIOD, self._watch_period))
                 last_state = loop.collector.time
-                self._read_for_damping(damping, read_joint_state)
+                try:
+                    read_joint_state()
+                except Exception as error:  # perhaps the error that caused the stop
+                    damping.end(f'an error in the program ({error!r})')
                 has_state = period or loop.collector.time != last_state
                 if not has_state and self.now() < self._last_step + self._watch_period:
                     continue
@@ -308,21 +305,13 @@ class LoopRunner:
             self._publish(now, command)
             self._report_damping(loop)
 
-    def _read_for_damping(
-        self, damping: StopDamping, read_joint_state: Callable[[], None]
-    ) -> None:
-        try:
-            read_joint_state()
-        except Exception as error:  # perhaps the error that caused the stop
-            damping.end(f'an error in the program: {error!r}')
-
     def _report_damping(self, loop: ControlLoop) -> None:
         """Log why the stop damping has ended."""
         report = loop.controller.stop_damping.report
         if not report:
             return
         loop.controller.stop_damping.report = ''
-        text = f'{"dry run: " * loop.dry_run.is_active}end of the stop damping: {report}'
+        text = f'stop damping ended{" (dry run)" * loop.dry_run.is_active}: {report}'
         if report == AT_REST:
             self._node.get_logger().info(text)
         else:

@@ -145,7 +145,7 @@ class Scheduling:
                 f'normal priority: the process needed {100 * fraction:.0f} % of a CPU, expected '
                 f'at most {100 * _MAX_CPU:.0f} %'
             )
-            return f'{self._problem}; reduce the rates of the topics'
+            return f'{self._problem}; reduce the rates of messages'
         if self._is_limited and fraction < _CALM_CPU:
             self._set_priority(self._priority)
             self._is_limited, self._problem = False, ''

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -38,7 +37,7 @@ class Services:
             return response
         self._runner.enable(is_enabled=request.data)
         response.success = True
-        response.message = f'efforts {"rise" if request.data else "fall to zero"} over the ramp'
+        response.message = f'efforts ramp {"up" if request.data else "down to zero"}'
         if loop.dry_run.is_active:
             response.message += ' (dry run: nothing is sent)'
         self._logger.info(response.message)
@@ -47,7 +46,7 @@ class Services:
     def _on_check_model(self, request: Trigger.Request, response: Trigger.Response) -> Any:
         loop = self._runner.loop
         response.success = loop is not None
-        response.message = describe_robot(loop) if loop else 'there is no robot yet'
+        response.message = describe_robot(loop) if loop else 'the node is not configured'
         self._logger.info(response.message)  # ros2 service call prints the report on one long line
         return response
 
@@ -56,11 +55,12 @@ def describe_robot(loop: ControlLoop) -> str:
     """Describe the robot and, if its pose is known, the efforts that hold the pose."""
     missing = loop.missing()
     if missing:
-        return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'
+        waiting = f'waiting for {", ".join(missing)}'
+        return f'{_report(loop, None)}\n\nThe efforts at this pose are not known yet: {waiting}.'
     try:
         return _report(loop, loop.collector.q)
     except JointStateError as error:
-        return f'{_report(loop, None)}\n\nNot known: {error}.'
+        return f'{_report(loop, None)}\n\nThe efforts at this pose are not known: {error}.'
 
 
 def _report(loop: ControlLoop, q: Floats | None) -> str:
@@ -79,12 +79,16 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     errors must not be hidden. `keep_up` is called after every request, because a request takes as
     long as several steps of the loop.
     """
+    setters = {
+        SetParameters: lambda request, _: SetParameters.Response(
+            results=[_set(node, [parameter]) for parameter in request.parameters]
+        ),
+        SetParametersAtomically: lambda request, _: SetParametersAtomically.Response(
+            result=_set(node, request.parameters)
+        ),
+    }
     for service in node.services:
-        callback = service.callback
-        if service.srv_type is SetParameters:
-            callback = partial(_set_each, node)
-        elif service.srv_type is SetParametersAtomically:
-            callback = partial(_set_all, node)
+        callback = setters.get(service.srv_type, service.callback)
         service.callback = _contained(node, service.srv_name, callback, keep_up)
     for subscription in node.subscriptions:
         subscription.callback = _contained_subscription(
@@ -108,16 +112,6 @@ def _contained(
         return response
 
     return contained
-
-
-def _set_each(node: LifecycleNode, request: Any, response: Any) -> Any:
-    response.results = [_set(node, [parameter]) for parameter in request.parameters]
-    return response
-
-
-def _set_all(node: LifecycleNode, request: Any, response: Any) -> Any:
-    response.result = _set(node, request.parameters)
-    return response
 
 
 def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:

@@ -59,8 +59,9 @@ class StatusPublisher:
         graph = self._inspect_graph(elapsed)
         if loop is not None and loop.collector.has_alternating:
             self._log.report_conflicts(loop, graph.state_publishers)
-        if is_active:
-            self._log.report_silence(describe_silence(graph))
+        silence = describe_silence(graph) if is_active else ''
+        if silence:
+            self._log.error('silence', silence)
         if loop is not None:
             self._log.report_implausible(loop)
         status = self._runner.monitor.report(self._runner.now(), loop, graph)
@@ -83,18 +84,18 @@ class StatusPublisher:
         if loop is not None and loop.collector.has_alternating:
             publishers = self._graph.publishers('joint_states')
         publisher_count = node.count_publishers(node.resolve_topic_name('joint_states'))
-        simulated = self._graph.simulated_time() if self._uses_sim_time else None
-        is_paused = simulated is not None and simulated.unchanged_for > _PERIOD
+        clock = self._graph.clock() if self._uses_sim_time else None
+        is_paused = clock is not None and (clock.unchanged_for or 0.0) > _PERIOD
         return GraphInfo(
             receivers=self._runner.outputs.receivers,
             publishers=publisher_count,
             is_active=self._runner.is_active,
-            is_dry_run=loop is not None and loop.dry_run.is_active,
             # The only public way to get the state is a service.
             state=str(node._state_machine.current_state[1]),
+            name=node.get_fully_qualified_name(),
             others=self._graph.others(),
             state_publishers=tuple(publishers),
-            simulated=simulated,
+            clock=clock,
             silence=self._stalled.update(
                 self._last_time,
                 self._inputs.last_joint_state,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Callable
 from concurrent.futures import Future
 from typing import NamedTuple
 
@@ -19,7 +18,7 @@ from ..dynamics.trajectory import complete, joint_index, Trajectory, trajectory_
 from ..errors import TrajectoryError
 from ..robot.model import Floats
 from ..ros import qos
-from .log import NodeLog
+from .runner import LoopRunner
 from .worker import Worker
 
 _MAX_SIZE = 1_000_000  # [bytes]; a trajectory of this size delays commands by milliseconds
@@ -58,9 +57,9 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
 class TrajectoryFiller:
     """Lets a worker compute the efforts for trajectories, and publishes the results."""
 
-    def __init__(self, node: LifecycleNode, log: NodeLog, worker: Worker) -> None:
-        self._log, self._worker = log, worker
-        self._waiting: deque[tuple[Future[Filled], Callable[[Exception], None]]] = deque()
+    def __init__(self, node: LifecycleNode, runner: LoopRunner, worker: Worker) -> None:
+        self._runner, self._worker = runner, worker
+        self._waiting: deque[Future[Filled]] = deque()
         self._publisher = node.create_publisher(
             JointTrajectory, '~/joint_trajectory_out', qos.RELIABLE, **qos.overridable()
         )
@@ -68,52 +67,47 @@ class TrajectoryFiller:
         self._timer = node.create_timer(_PERIOD, self.poll, clock=steady)
         self._timer.cancel()
 
-    def submit(
-        self,
-        loop: ControlLoop,
-        data: bytes,
-        is_active: bool,
-        reject: Callable[[Exception], None],
-    ) -> None:
+    def submit(self, loop: ControlLoop, data: bytes) -> None:
         """
         Queue a serialized trajectory for the computation of its efforts.
 
-        The worker gets a copy of the loop in its present state. `reject` is called later if the
-        trajectory cannot be used. Raise a TrajectoryError if nobody subscribes to the results, or
-        if too many trajectories wait. Also raise the error if `is_active` and the trajectory is
-        so long that it would delay commands.
+        The worker gets a copy of the loop in its present state. Raise a TrajectoryError if nobody
+        subscribes to the results, or if too many trajectories wait. Also raise the error if the
+        node is active and the trajectory is so long that it would delay commands.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
-        if is_active and len(data) > _MAX_SIZE:
+        if self._runner.is_active and len(data) > _MAX_SIZE:
             raise TrajectoryError(
                 f'the trajectory has {len(data)} bytes, expected at most {_MAX_SIZE} while the '
-                'node is active, because a long trajectory delays commands: deactivate the '
-                'node first, or split the trajectory'
+                'node is active, because a longer trajectory would delay commands; '
+                'deactivate the node first, or split the trajectory'
             )
         if len(self._waiting) >= _MAX_WAITING:
-            raise TrajectoryError(f'{_MAX_WAITING} trajectories already wait for their efforts')
-        self._waiting.append((self._worker.submit(fill, loop, data), reject))
+            raise TrajectoryError(
+                f'{_MAX_WAITING} trajectories are already waiting for their efforts'
+            )
+        self._waiting.append(self._worker.submit(fill, loop, data))
         self._timer.reset()
 
     def poll(self) -> None:
         """Publish the next trajectory if its efforts have been computed."""
         if not self._waiting:
             self._timer.cancel()
-        elif self._waiting[0][0].done():
-            self._finish(*self._waiting.popleft())
+        elif self._waiting[0].done():
+            self._finish(self._waiting.popleft())
 
-    def _finish(self, future: Future[Filled], reject: Callable[[Exception], None]) -> None:
+    def _finish(self, future: Future[Filled]) -> None:
         try:
             filled = future.result()
         except Exception as error:  # any error in the other process
-            reject(error)
+            self._runner.reject('~/joint_trajectory_in', error)
             return
         for note in filled.notes:
-            self._log.warn(('trajectory note', note), f'~/joint_trajectory_in: {note}')
+            self._runner.log.warn(('trajectory note', note), f'~/joint_trajectory_in: {note}')
         for name in filled.beyond:
-            warning = f"~/joint_trajectory_in: the efforts of '{name}' exceed their limit"
-            self._log.warn(('trajectory beyond', name), warning)
+            warning = f"~/joint_trajectory_in: the efforts of joint '{name}' exceed their limit"
+            self._runner.log.warn(('trajectory beyond', name), warning)
         self._publisher.publish(filled.data)
 
 
@@ -122,7 +116,8 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
     try:
         return deserialize_message(data, JointTrajectory)
     except Exception as error:  # RMWError, which is not public
-        raise TrajectoryError(f'{len(data)} bytes are not a trajectory: {error}') from error
+        text = f'{len(data)} bytes cannot be read as a JointTrajectory ({error})'
+        raise TrajectoryError(text) from error
 
 
 def _read_trajectory(message: JointTrajectory) -> Trajectory:
@@ -136,7 +131,7 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
         if lengths != {len(names)}:
             raise TrajectoryError(
                 f'points have {" or ".join(map(str, sorted(lengths)))} {what}, expected '
-                f'{len(names)} at every point, or at no point'
+                f'{len(names)} at every point or none at all'
             )
         return np.array(rows, dtype=np.float64)
 

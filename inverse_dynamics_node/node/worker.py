@@ -21,6 +21,11 @@ from typing import Any
 
 from ..errors import InverseDynamicsError
 
+with contextlib.suppress(ImportError):  # reported when a description is loaded
+    # Imported here, because each import would take tenths of a second in the child process.
+    import scipy.interpolate  # noqa: F401
+    import yourdfpy  # noqa: F401
+
 _PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
@@ -51,8 +56,8 @@ class Worker:
                 self._executor = pool
             except OSError as error:  # a limit on processes or on memory
                 self.problem = (
-                    f'there is no process for long work ({error}): a thread does the work, and '
-                    'delays commands'
+                    f'cannot create a process for long work ({error}): a thread does the work '
+                    'instead, and delays commands'
                 )
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -67,13 +72,6 @@ class Worker:
         except BrokenExecutor:  # the process has ended, for example for lack of memory
             self._executor = ThreadPoolExecutor(1, 'worker')
             return self._executor.submit(_call, request)
-
-
-def prepare_to_load() -> None:
-    """Import the modules that load a robot; call this function before `Worker`."""
-    with contextlib.suppress(ImportError):  # reported when a description is loaded
-        import scipy.interpolate  # noqa: F401
-        import yourdfpy  # noqa: F401
 
 
 def _prepare(parent: int) -> None:

@@ -7,7 +7,7 @@ import math
 
 from ..analysis.diagnosis import Fault, FaultKind
 from ..analysis.diagnosis.live import Agreement, DURATION, Obstacle, Size
-from .diagnosis_text import advice, centre_of_mass, headline, listed
+from .diagnosis_text import advice, centre_of_mass, headline, joined
 
 _MOST_NAMES = 4
 
@@ -27,7 +27,7 @@ def _differ(agreement: Agreement) -> str:
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
     if agreement.saturated:
-        parts.append(f'the effort is cut to its limit: {_listed(agreement.saturated)}')
+        parts.append(f'the effort is cut to its limit at {_listed(agreement.saturated)}')
     return f'{"; ".join(parts)}. {advice(agreement.faults[0]).removesuffix(".")}'
 
 
@@ -42,14 +42,14 @@ def _headline(fault: Fault) -> str:
 def _few_joints(agreement: Agreement) -> str:
     count, total = agreement.numbers
     return (
-        f'model and robot agree in only {count:.0f} of {total:.0f} joints: '
+        f'model and robot agree, but only {count:.0f} of {total:.0f} joints could be checked: '
         f'{_compared(agreement)}; move the arm to check the others'
     )
 
 
 def _saturated(agreement: Agreement) -> str:
     return (
-        f'{listed(agreement.saturated)}: the effort is cut to its limit, so the arm cannot hold '
+        f'{joined(agreement.saturated)}: the effort is cut to its limit, so the arm cannot hold '
         'itself or follow a motion; raise effort_limits, or move to another pose; do not go live'
     )
 
@@ -59,9 +59,9 @@ def _compared(agreement: Agreement) -> str:
     if not agreement.is_moving:
         text += ', at rest'
     if agreement.unchecked:
-        text += f'; not checked, because the efforts are small: {_listed(agreement.unchecked)}'
+        text += f'; not checked because of small efforts: {_listed(agreement.unchecked)}'
     if agreement.unmeasured:
-        text += f'; not checked, because no effort is measured: {_listed(agreement.unmeasured)}'
+        text += f'; not checked because no effort is measured: {_listed(agreement.unmeasured)}'
     return text
 
 
@@ -75,7 +75,7 @@ def _slow_states(agreement: Agreement) -> str:
 
 def _at_rest(agreement: Agreement) -> str:
     return (
-        f'{listed(agreement.faults[0].joints)}: measured and modelled effort differ at rest '
+        f'{joined(agreement.faults[0].joints)}: measured and modelled effort differ at rest '
         f'({_sizes(agreement)}); the cause is dry friction or a wrong model; move the arm to find '
         'out which'
     )

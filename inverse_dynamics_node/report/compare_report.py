@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ..analysis.diagnosis import ComparisonResult, JointResidual
-from .diagnosis_text import amount, sentence
-from .tables import motion_notes, Table, with_error
+from .diagnosis_text import amount, headline, sentence
+from .tables import motion_notes, or_dash, Table, with_error
 
 AT_NOISE = 1.5  # a residual below this multiple of the noise may be noise only
 
@@ -26,10 +26,8 @@ def verdict(result: ComparisonResult) -> str:
         f'{_total(result, "rms_corrected")}).'
     )
     if result.faults:
-        opening = '; '.join(
-            sentence(each) if k == 0 else sentence(each)[0].lower() + sentence(each)[1:]
-            for k, each in enumerate(result.faults)
-        )
+        first, *others = result.faults
+        opening = '; '.join([sentence(first), *map(headline, others)])
         return (
             f'{opening}. Without corrections, {modelled} With corrections and fitted friction, '
             f'{corrected}'
@@ -76,7 +74,7 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
         f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.',
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(motion), *notes)),
     )
-    return Table('Measured against modelled efforts', columns, tuple(rows), remarks,
+    return Table('Measured and modelled efforts', columns, tuple(rows), remarks,
                  frozenset({1}))  # fmt: skip
 
 
@@ -90,9 +88,9 @@ def _row(joint: JointResidual) -> tuple[str, ...]:
         f'{joint.rms_residual:.3g}',
         f'{joint.rms_friction:.3g}',
         f'{joint.rms_corrected:.3g}',
-        _or_dash(joint.noise, '.2g'),
+        or_dash(joint.noise, '.2g'),
         f'{explained} (noise)' if joint.rms_corrected < AT_NOISE * joint.noise else explained,
-        _or_dash(joint.scale, '.3f'),
+        or_dash(joint.scale, '.3f'),
     )
 
 
@@ -118,8 +116,9 @@ def friction_table(result: ComparisonResult) -> Table:
     if has_shape:
         coulomb, width = '(Coulomb + per load * |modelled effort|)', 'width'
     notes = (
-        f'Friction effort: damping * velocity + {coulomb} * tanh(velocity / {width}) + offset, in '
-        'N m s/rad and N m (prismatic joints: N s/m and N).',
+        f'Friction effort: damping * velocity + {coulomb} * tanh(velocity / {width}) + '
+        'offset. Damping is in N m s/rad, Coulomb and offset are in N m (prismatic joints: N s/m '
+        'and N).',
         *(
             f'{joint.name}: friction unknown, because {joint.friction.unknown_because}.'
             for joint in result.joints
@@ -128,7 +127,7 @@ def friction_table(result: ComparisonResult) -> Table:
     )
     columns = ('joint', 'damping', 'Coulomb', 'offset', *(('width', 'per load') * has_shape))
     return Table(
-        'Friction, fitted to the residual (± standard errors, which cover random errors only)',
+        'Friction fitted to the residual (± standard errors, which cover random errors only)',
         columns,
         tuple(rows),
         notes,
@@ -147,7 +146,3 @@ def percent(fraction: float) -> str:
     if abs(fraction) < 5e-4:
         return '0.0%'
     return f'{fraction:.2%}' if fraction > 0.99 else f'{fraction:.1%}'
-
-
-def _or_dash(value: float, how: str) -> str:
-    return format(value, how) if math.isfinite(value) else '-'

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import math
-from types import MappingProxyType
 
 from ..analysis.diagnosis import Fault, FaultKind
 from ..robot.model import ModelWarning
+from .tables import counted
 
 MOST_CHANGES = 3  # largest number of joints whose residuals are listed
 
@@ -34,7 +34,7 @@ def diagnosis_warning(fault: Fault) -> ModelWarning:
     again = _options(fault)
     hint = advice(fault)
     if again:
-        hint += f' To see the remaining difference: {again}'
+        hint += f' To see the remaining difference, use {again}'
     parts = [_EVIDENCE.get(fault.kind, _fixed(''))(fault), _changes(fault)]
     return ModelWarning(f'{headline(fault)}: {"; ".join(filter(None, parts))}', hint)
 
@@ -62,16 +62,16 @@ def _options(fault: Fault) -> str:
 
 
 def _positions(fault: Fault) -> str:
-    positions = f'the positions of {listed(fault.joints)}'
+    positions = f'the positions of {joined(fault.joints)}'
     if fault.values:
-        return f'{positions} are in degrees, and nothing else can be diagnosed'
-    return f'{positions} are far outside their limits, and nothing else can be diagnosed'
+        return f'{positions} are in degrees, so nothing else can be diagnosed'
+    return f'{positions} are far outside their limits, so nothing else can be diagnosed'
 
 
 def _reversed_axis(fault: Fault) -> str:
     is_one = len(fault.joints) == 1
-    axes = 'has a reversed axis: its' if is_one else 'have reversed axes: their'
-    return f'{listed(fault.joints)} {axes} position, velocity and effort have the wrong sign'
+    axes = 'has a reversed axis, so its' if is_one else 'have reversed axes, so their'
+    return f'{joined(fault.joints)} {axes} position, velocity and effort have the wrong sign'
 
 
 def _delay(fault: Fault) -> str:
@@ -81,9 +81,9 @@ def _delay(fault: Fault) -> str:
 
 def _sign(fault: Fault) -> str:
     if fault.is_every_joint:
-        return 'every joint has its sign swapped'
-    has = 'has its sign' if len(fault.joints) == 1 else 'have their signs'
-    return f'{listed(fault.joints)} {has} swapped'
+        return 'all joints report efforts with the wrong sign'
+    report = 'reports' if len(fault.joints) == 1 else 'report'
+    return f'{joined(fault.joints)} {report} efforts with the wrong sign'
 
 
 def _unit(fault: Fault) -> str:
@@ -91,12 +91,12 @@ def _unit(fault: Fault) -> str:
     size = f'{float(f"{factor:.3g}"):g} times too large'
     if factor < 1.0:
         size = f'{float(f"{1.0 / factor:.3g}"):g} times too small'
-    return f'the efforts are in another unit: all are {size}'
+    return f'the efforts are in the wrong unit, all {size}'
 
 
 def _scale(fault: Fault) -> str:
     if not fault.is_every_joint:
-        return f'the effort of {listed(fault.joints)} is in another unit'
+        return f'the effort of {joined(fault.joints)} is in the wrong unit'
     if fault.is_same_factor:
         return _unit(fault)
     return 'the efforts are not torques or forces, but proportional to them'
@@ -104,19 +104,19 @@ def _scale(fault: Fault) -> str:
 
 def _gravity_compensated(fault: Fault) -> str:
     text = 'the measured efforts lack gravity'
-    return text if fault.is_commanded else f'{text}, although measured_gravity is included'
+    return text if fault.is_commanded else f'{text}, although measured_gravity is set to included'
 
 
 def _gravity_measured(fault: Fault) -> str:
     text = 'the measured efforts contain gravity'
     if fault.is_commanded:
-        return f'{text}, although measured_gravity is excluded'
+        return f'{text}, although measured_gravity is set to excluded'
     return f'{text}, but the commands do not'
 
 
 def _mounting(fault: Fault) -> str:
     angle = math.degrees(fault.angle)
-    return f'the base is tilted by {angle:.0f} degrees from its mounting in the model'
+    return f'the base is tilted by {angle:.0f} degrees compared with the model'
 
 
 def _payload(fault: Fault) -> str:
@@ -129,41 +129,40 @@ def _payload(fault: Fault) -> str:
 def _rotor(fault: Fault) -> str:
     move = 'moves' if len(fault.joints) == 1 else 'move'
     return (
-        f'{listed(fault.joints)} {move} more inertia than the model has, probably rotors and gears'
+        f'{joined(fault.joints)} {move} more inertia than the model has, probably of rotors and '
+        'gears'
     )
 
 
 def _joints(text: str) -> Callable[[Fault], str]:
-    return lambda fault: text.format(listed(fault.joints))
+    return lambda fault: text.format(joined(fault.joints))
 
 
 def _fixed(text: str) -> Callable[[Fault], str]:
     return lambda fault: text
 
 
-_HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
-    {
-        FaultKind.POSITIONS: _positions,
-        FaultKind.REVERSED_AXIS: _reversed_axis,
-        FaultKind.DELAY: _delay,
-        FaultKind.ORDER: _joints('the efforts of {} are in another order'),
-        FaultKind.GRAVITY_COMPENSATED: _gravity_compensated,
-        FaultKind.GRAVITY_MEASURED: _gravity_measured,
-        FaultKind.MOUNTING: _mounting,
-        FaultKind.UNIT: _unit,
-        FaultKind.SIGN: _sign,
-        FaultKind.SCALE: _scale,
-        FaultKind.PAYLOAD: _payload,
-        FaultKind.BODIES: _fixed('the masses or centres of mass of several links are wrong'),
-        FaultKind.EXTERNAL_FORCE: _joints('an external force acts on {}'),
-        FaultKind.ROTOR_INERTIA: _rotor,
-        FaultKind.OFFSET: _joints('the effort of {} has a constant offset'),
-        FaultKind.NOT_MEASURED: _joints('the measured effort of {} never changes'),
-        FaultKind.UNEXPLAINED: _joints(
-            'the effort of {} differs from the model, and no known cause explains it'
-        ),
-    }
-)
+_HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = {
+    FaultKind.POSITIONS: _positions,
+    FaultKind.REVERSED_AXIS: _reversed_axis,
+    FaultKind.DELAY: _delay,
+    FaultKind.ORDER: _joints('the efforts of {} are in the wrong order'),
+    FaultKind.GRAVITY_COMPENSATED: _gravity_compensated,
+    FaultKind.GRAVITY_MEASURED: _gravity_measured,
+    FaultKind.MOUNTING: _mounting,
+    FaultKind.UNIT: _unit,
+    FaultKind.SIGN: _sign,
+    FaultKind.SCALE: _scale,
+    FaultKind.PAYLOAD: _payload,
+    FaultKind.BODIES: _fixed('the masses or centres of mass of several links are wrong'),
+    FaultKind.EXTERNAL_FORCE: _joints('an external force acts on {}'),
+    FaultKind.ROTOR_INERTIA: _rotor,
+    FaultKind.OFFSET: _joints('the effort of {} has a constant offset'),
+    FaultKind.NOT_MEASURED: _joints('the measured effort of {} never changes'),
+    FaultKind.UNEXPLAINED: _joints(
+        'the effort of {} differs from the model, and no known cause explains it'
+    ),
+}
 _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_INERTIA)
 
 
@@ -177,8 +176,8 @@ def _changes(fault: Fault) -> str:
         return ''
     if fault.kind in (FaultKind.UNEXPLAINED, FaultKind.EXTERNAL_FORCE):
         left = ', '.join(
-            f'at {each.joint} {amount(each.after, each.is_prismatic)} of '
-            f'{amount(each.measured, each.is_prismatic)} measured'
+            f'{amount(each.after, each.is_prismatic)} at {each.joint} '
+            f'({amount(each.measured, each.is_prismatic)} measured)'
             for each in changes
         )
         return f'the RMS residual is {left}'
@@ -187,12 +186,12 @@ def _changes(fault: Fault) -> str:
         f'{amount(each.after, each.is_prismatic)}'
         for each in changes
     )
-    cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'this cause alone'
+    cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'correcting this alone'
     how = 'friction fitted in both cases'
     if fault.kind is FaultKind.BODIES:
         how += ', links fitted to the other half of the recording'
     more = len(fault.changes) - len(changes)
-    others = f', and at {more} more {"joints" if more > 1 else "joint"}' if more else ''
+    others = f', and at {counted(more, "more joint")}' if more else ''
     return f'{cause} reduces the RMS residual {left}{others} ({how})'
 
 
@@ -205,17 +204,17 @@ def _values(fault: Fault, unit: str = '', unit_prismatic: str = '') -> str:
 
 
 def _scale_evidence(fault: Fault) -> str:
-    text = f'the measured effort is a multiple of the modelled effort: {_values(fault)}'
+    text = f'measured effort divided by modelled effort is {_values(fault)}'
     if fault.unknown:
-        unknown = listed(fault.unknown)
+        unknown = joined(fault.unknown)
         text += f'; the unit of {unknown} is unknown, because friction dominates'
     return text
 
 
 def _payload_evidence(fault: Fault) -> str:
     return (
-        f'a point mass of {fault.values[0]:.3f} kg (standard error {fault.error:.2g}, which '
-        f'covers random errors only) at {centre_of_mass(fault)} m in the frame of the link'
+        f'a point mass of {fault.values[0]:.3f} kg (standard error {fault.error:.2g} kg, '
+        f'which covers random errors only) at {centre_of_mass(fault)} m in the frame of the link'
     )
 
 
@@ -234,24 +233,22 @@ def _gravity(fault: Fault) -> str:
     return ', '.join(f'{x:.2f}' for x in fault.values)
 
 
-_EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
-    {
-        FaultKind.ORDER: _order_evidence,
-        FaultKind.MOUNTING: lambda each: (
-            f'gravity is {_gravity(each)} m/s^2 in the frame of the base link'
-        ),
-        FaultKind.SCALE: _scale_evidence,
-        FaultKind.PAYLOAD: _payload_evidence,
-        FaultKind.ROTOR_INERTIA: lambda each: (
-            'the measured efforts contain a term proportional to the acceleration: '
-            f'{_values(each, "kg m^2", "kg")}'
-        ),
-        FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
-        FaultKind.NOT_MEASURED: lambda each: (
-            f'the measured effort is constant ({_values(each)}), but the modelled effort is not'
-        ),
-    }
-)
+_EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = {
+    FaultKind.ORDER: _order_evidence,
+    FaultKind.MOUNTING: lambda each: (
+        f'gravity is ({_gravity(each)}) m/s^2 in the frame of the base link'
+    ),
+    FaultKind.SCALE: _scale_evidence,
+    FaultKind.PAYLOAD: _payload_evidence,
+    FaultKind.ROTOR_INERTIA: lambda each: (
+        'efforts proportional to the acceleration show an additional inertia of '
+        f'{_values(each, "kg m^2", "kg")}'
+    ),
+    FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
+    FaultKind.NOT_MEASURED: lambda each: (
+        f'it stays at {_values(each)}, but the modelled effort varies'
+    ),
+}
 
 
 # ---- Advice --------------------------------------------------------------------------------
@@ -290,18 +287,17 @@ def _payload_advice(fault: Fault) -> str:
     if fault.values[0] > 0.0:
         return (
             'Add this payload to the URDF, or publish it on ~/payload of the node. If nothing is '
-            'attached to the link, masses or centres of mass of the last links are wrong by about '
-            'this mass.'
+            'attached to the link, the masses or centres of mass of the last links are wrong.'
         )
     return (
-        'Remove from the URDF, or from ~/payload of the node, all parts that the robot does not '
-        'have, such as a tool or a hand.'
+        'Remove parts that the robot does not have, such as a tool or a hand, from the URDF or '
+        'from the payload of the node.'
     )
 
 
 def _mounting_advice(fault: Fault) -> str:
     if fault.interval is not None:
-        return 'If the base moves, use an IMU on it, or publish ~/gravity.'
+        return 'If the base moves, mount an IMU on it, or publish ~/gravity.'
     return f'Set gravity: [{_gravity(fault)}] in the node.'
 
 
@@ -312,7 +308,7 @@ def _gravity_compensated_advice(fault: Fault) -> str:
             'measured_gravity: excluded in the node.'
         )
     return (
-        'Unless brakes hold the arm, the driver compensates gravity already: set '
+        'Unless brakes hold the arm, the driver already compensates gravity: set '
         'include_gravity: false in the node. If gravity were compensated twice, the arm would '
         'move upwards. If only the measured efforts lack gravity, set measured_gravity: excluded '
         'instead.'
@@ -336,7 +332,7 @@ def _offset_advice(fault: Fault) -> str:
     if fault.is_motor_side:
         return (
             'The efforts contain the friction of the gears, so they are probably derived from '
-            'motor currents: look for an offset of the current, or for friction that differs '
+            'motor currents. Look for an offset of the current, or for friction that differs '
             f'between the directions. {cause}'
         )
     return f'Zero the torque sensors in a pose in which the modelled effort is zero. {cause}'
@@ -346,56 +342,52 @@ _UNIT_ADVICE = (
     'The same factor for all joints means a different unit, such as N mm for a factor of 1000. '
     'Convert the efforts to N m (prismatic joints: N).'
 )
-_ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
-    {
-        FaultKind.POSITIONS: _fixed(
-            'Convert the positions to rad. Check the zero positions, and whether the limits '
-            'belong to this robot.'
-        ),
-        FaultKind.REVERSED_AXIS: _fixed(
-            'Change the sign of the <axis> in the URDF, or change the signs of positions, '
-            'velocities and efforts in the driver. Until then, do not send efforts of the node to '
-            'this joint.'
-        ),
-        FaultKind.DELAY: _fixed(
-            'The driver may filter the efforts, or publish them later than the positions. '
-            'inverse_dynamics identify takes the delay into account.'
-        ),
-        FaultKind.ORDER: _fixed(
-            'Check that names and efforts have the same order in the driver, and that all files '
-            'of the driver list the joints in the same order.'
-        ),
-        FaultKind.GRAVITY_COMPENSATED: _gravity_compensated_advice,
-        FaultKind.GRAVITY_MEASURED: _gravity_measured_advice,
-        FaultKind.MOUNTING: _mounting_advice,
-        FaultKind.UNIT: _fixed(_UNIT_ADVICE),
-        FaultKind.SIGN: _sign_advice,
-        FaultKind.SCALE: _scale_advice,
-        FaultKind.PAYLOAD: _payload_advice,
-        FaultKind.BODIES: _fixed(
-            'Fit all links to the recording: '
-            'inverse_dynamics identify URDF RUN --output calibrated.urdf'
-        ),
-        FaultKind.EXTERNAL_FORCE: _fixed(
-            'Somebody or something may have pushed the robot, or the robot touched its '
-            'surroundings. Exclude this time with --from and --to before you use the fitted '
-            'friction.'
-        ),
-        FaultKind.ROTOR_INERTIA: _fixed(
-            "Set these values as the parameter 'armature' of the node."
-        ),
-        FaultKind.OFFSET: _offset_advice,
-        FaultKind.NOT_MEASURED: _fixed(
-            'The driver does not measure or does not report this effort. Look for a setting that '
-            'enables the measurement, or leave these joints out of the comparison.'
-        ),
-        FaultKind.UNEXPLAINED: _fixed(
-            'The picture of inverse_dynamics compare shows when the efforts differ. Possible '
-            'causes are contact, a wrong link inertia, a drive at its limit, and an effort that '
-            'is filtered or delayed.'
-        ),
-    }
-)
+_ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
+    FaultKind.POSITIONS: _fixed(
+        'Convert the positions to rad. Check the zero positions, and whether the limits '
+        'belong to this robot.'
+    ),
+    FaultKind.REVERSED_AXIS: _fixed(
+        'Change the sign of the <axis> in the URDF, or change the signs of positions, '
+        'velocities and efforts in the driver. Until then, do not send efforts of the node to '
+        'this joint.'
+    ),
+    FaultKind.DELAY: _fixed(
+        'The driver may filter the efforts, or publish them later than the positions. '
+        'inverse_dynamics identify takes the delay into account.'
+    ),
+    FaultKind.ORDER: _fixed(
+        'Check that names and efforts have the same order in the driver, and that all files '
+        'of the driver list the joints in the same order.'
+    ),
+    FaultKind.GRAVITY_COMPENSATED: _gravity_compensated_advice,
+    FaultKind.GRAVITY_MEASURED: _gravity_measured_advice,
+    FaultKind.MOUNTING: _mounting_advice,
+    FaultKind.UNIT: _fixed(_UNIT_ADVICE),
+    FaultKind.SIGN: _sign_advice,
+    FaultKind.SCALE: _scale_advice,
+    FaultKind.PAYLOAD: _payload_advice,
+    FaultKind.BODIES: _fixed(
+        'Fit all links to the recording: '
+        'inverse_dynamics identify URDF RUN --output calibrated.urdf'
+    ),
+    FaultKind.EXTERNAL_FORCE: _fixed(
+        'Somebody or something may have pushed the robot, or the robot touched its '
+        'surroundings. Exclude this time with --from and --to before you use the fitted '
+        'friction.'
+    ),
+    FaultKind.ROTOR_INERTIA: _fixed("Set the parameter 'armature' of the node to these values."),
+    FaultKind.OFFSET: _offset_advice,
+    FaultKind.NOT_MEASURED: _fixed(
+        'The driver does not measure or does not report this effort. Look for a setting that '
+        'enables the measurement, or leave these joints out of the comparison.'
+    ),
+    FaultKind.UNEXPLAINED: _fixed(
+        'The picture of inverse_dynamics compare shows when the efforts differ. Possible '
+        'causes are contact, a wrong link inertia, a drive at its limit, and an effort that '
+        'is filtered or delayed.'
+    ),
+}
 
 
 # ---- Words and numbers ---------------------------------------------------------------------
@@ -406,6 +398,6 @@ def amount(effort: float, is_prismatic: bool) -> str:
     return f'{effort:.3g} {"N" if is_prismatic else "N m"}'
 
 
-def listed(names: Sequence[str]) -> str:
+def joined(names: Sequence[str]) -> str:
     """Join names with commas, and the last name with 'and'."""
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'

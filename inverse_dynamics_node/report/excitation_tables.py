@@ -12,7 +12,7 @@ from ..analysis.excitation.search import CANDIDATES, Excitation, SAMPLES_PER_SEC
 from ..dynamics.trajectory import Trajectory
 from ..errors import listed
 from ..robot.model import Floats, RobotModel
-from .tables import effort_unit, fraction, number, Table
+from .tables import effort_unit, fraction, number, or_dash, Table
 
 
 def excitation_tables(
@@ -70,7 +70,8 @@ def _motion(
     notes = [
         f'{excitation.series.harmonics} harmonics of {1.0 / trajectory.times[-1]:.3g} Hz; the '
         'motion starts and ends at rest, in the pose of the column "start"',
-        f'space of the links: {sides} m in the frame of the base; a payload is not included',
+        f'space that the links need: {sides} m in the frame of the base; a payload is not '
+        'included',
         *_distances(excitation),
         *excitation.limits.notes,
     ]
@@ -93,25 +94,25 @@ def _distances(excitation: Excitation) -> list[str]:
     if clearance is None:
         return ['collisions are not checked']
     notes = [
-        'smallest distances, including the way to the start: '
+        'smallest distances, including the motion to the start pose: '
         + (', '.join(said) or 'more than 0.3 m')
     ]
     if clearance.unchecked:
         pairs = listed(clearance.unchecked)
-        notes.append(f'not checked, because they are close to each other in many poses: {pairs}')
+        notes.append(f'not checked, because these links are close in many poses: {pairs}')
     return notes
 
 
 def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -> Table:
     rows = []
     for k, name in enumerate(errors.joint_names):
-        armature, damping, coulomb, offset = (_number(x) for x in errors.of_joints[k])
+        armature, damping, coulomb, offset = (or_dash(x, '.2g') for x in errors.of_joints[k])
         unit = effort_unit(robot, robot.joint_names.index(name))
         rows.append(
             (
                 name,
                 f'{errors.noise[k]:.3g} {unit}',
-                _number(errors.efforts[k]),
+                or_dash(errors.efforts[k], '.2g'),
                 damping,
                 coulomb,
                 offset,
@@ -126,8 +127,8 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
         ('joint', 'noise', 'efforts', 'damping', 'Coulomb', 'offset', 'armature'),
         tuple(rows),
         (
-            f'assumed: measured efforts with the noise in the first column, {count:g} independent '
-            f'samples in {duration:g} s, and no other errors; four runs halve all errors',
+            f'assumes only the noise in the first column, and {count:g} independent samples in '
+            f'{duration:g} s; four runs halve all errors',
             'efforts: errors of the efforts that the identified model predicts in random states '
             'within the limits',
             f'{errors.count} unknowns; log det of their information matrix: '
@@ -140,7 +141,7 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
 
 def _bodies(errors: ExpectedErrors) -> Table:
     rows = [
-        (name, *(_number(x) for x in values))
+        (name, *(or_dash(x, '.2g') for x in values))
         for name, values in zip(errors.body_names, errors.of_bodies, strict=True)
         if not np.isnan(values).all()
     ]
@@ -149,12 +150,8 @@ def _bodies(errors: ExpectedErrors) -> Table:
         ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
         tuple(rows),
         (
-            'each number is the largest error of all components; if the efforts show only a '
-            'combination of parameters, the error of the combination is listed at one joint; "-" '
-            'means that nothing is listed at this joint',
+            'for vectors and tensors, the largest error of a component; if only a combination of '
+            'parameters can be identified, its error is listed at one joint; "-" means that '
+            'nothing is listed at this joint',
         ),
     )
-
-
-def _number(value: float) -> str:
-    return '-' if math.isnan(value) else f'{value:.2g}'

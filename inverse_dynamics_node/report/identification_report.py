@@ -10,6 +10,7 @@ import numpy as np
 
 from ..analysis.identification import BodyResult, IdentificationResult, JointResult
 from ..errors import significant
+from ..robot.model import Floats
 from .tables import motion_notes, Table, with_error
 
 DETERMINED = 0.5
@@ -54,7 +55,7 @@ def friction_table(result: IdentificationResult) -> Table:
     notes = (
         'Effort of the joint: damping * velocity + (Coulomb + per load * |effort of the links|) * '
         'tanh(velocity / width) + armature * acceleration + offset, in N m, rad and s (prismatic '
-        'joints: N, m, s). Standard errors contain random errors and the spread between blocks of '
+        'joints: N, m, s). Standard errors cover random errors and the spread between blocks of '
         'the recordings. An armature or a load friction that does not improve the prediction is '
         'left out.',
         *_extra_notes(result),
@@ -76,8 +77,8 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
         if terms.stiffness:
             value = with_error(terms.stiffness, terms.errors['stiffness'])
             notes.append(
-                f'{joint.name}: a spring or counterweight has the effort {value} {force}/{unit} * '
-                f'(position - {terms.rest:.3g} {unit}).'
+                f'{joint.name}: balancing a spring or counterweight takes {value} {force}/{unit} '
+                f'* (position - {terms.rest:.3g} {unit}).'
             )
         if terms.sqrt_damping:
             value = with_error(terms.sqrt_damping, terms.errors['sqrt_damping'])
@@ -126,9 +127,9 @@ def body_table(result: IdentificationResult) -> Table:
     columns = ('link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±',
                'on its own')  # fmt: skip
     notes = [
-        'On its own: how far the recordings determine this mass, whatever the other masses are; '
-        'the rest of the information comes from the robot description. A mass that influences no '
-        'effort keeps its value. Centres of mass are in the frame of the joint that moves the '
+        'On its own: how much of the information about this mass the recordings provide, whatever '
+        'the other masses are; the rest comes from the robot description. A mass that influences '
+        'no effort keeps its value. Centres of mass are in the frame of the joint that moves the '
         'link.',
     ]
     if any(map(_follows_others, result.bodies)):
@@ -138,7 +139,7 @@ def body_table(result: IdentificationResult) -> Table:
             'parameters. The efforts are right, but the mass may be wrong.'
         )
     notes += [
-        f'{body.link} stands for {", ".join(body.links)}, which fixed joints hold together.'
+        f'{body.link} stands for the links {", ".join(body.links)}, joined by fixed joints.'
         for body in result.bodies
         if len(body.links) > 1
     ]
@@ -164,11 +165,11 @@ def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
             f'; the efforts are {abs(result.delay) * 1e3:.1f} ± '
             f'{result.delay_error * 1e3:.1f} ms {late}'
         )
-        delay += '; the fit removed this delay' if result.delay_removed else ''
+        delay += ', which the fit removed' if result.delay_removed else ''
     return (
-        f'{result.sample_count} samples over {significant(result.duration)} s; efforts and all '
-        f'columns of the fit are smoothed over {result.smoothing * 1e3:.0f} ms; the weight of the '
-        f'robot description is {result.urdf_weight:.3g}, from cross-validation{delay}.',
+        f'{result.sample_count} samples over {significant(result.duration)} s; efforts and '
+        f'regressors are smoothed over {result.smoothing * 1e3:.0f} ms; cross-validation gave the '
+        f'robot description a weight of {result.urdf_weight:.3g}{delay}.',
         *(f'{note}.' for note in notes_of(result)),
     )
 
@@ -179,8 +180,8 @@ def notes_of(result: IdentificationResult) -> tuple[str, ...]:
     return tuple(dict.fromkeys(notes))
 
 
-def _millimetres(position: object) -> str:
-    return ' '.join(f'{1e3 * x:.0f}' for x in position)  # type: ignore[attr-defined]
+def _millimetres(position: Floats) -> str:
+    return ' '.join(f'{1e3 * x:.0f}' for x in position)
 
 
 # ---- JSON ----------------------------------------------------------------------------------

@@ -8,13 +8,13 @@ from typing import Any
 from ..analysis.payload import PayloadEstimate
 from ..analysis.recordings.signals import rms
 from ..robot.model import RobotModel
-from .diagnosis_text import amount, listed
+from .diagnosis_text import amount, joined
 from .tables import Table, with_error
 
 _WITHOUT_EMPTY = (
     'Without an empty run, errors in the modelled links look like a payload. On real robots, this '
     'apparent payload was 0.02 to 1.5 kg. The standard error includes only a guess of these '
-    'errors. Record the same motion without the payload, and give this recording as --empty.'
+    'errors. Record the same motion without the payload, and pass this recording with --empty.'
 )
 
 
@@ -32,7 +32,7 @@ def verdict(result: PayloadEstimate) -> str:
         error = 1e3 * float(max(result.com_error))
         return f'{text}, with its centre of mass at ({com}) ± {max(error, 1.0):.0f} mm.'
     return (
-        f'{text}. The recordings do not show {listed(result.unknown)} of its centre of mass: '
+        f'{text}. The recordings do not show {joined(result.unknown)} of its centre of mass: '
         'record poses, or a motion, in which the payload turns about two horizontal axes.'
     )
 
@@ -59,9 +59,10 @@ def payload_table(
             f'The empty run alone looks like a payload of {mass} kg; --empty removes this error.'
         )
     if not result.shows_inertia:
-        notes.append('The inertia is assumed: the recordings do not show it.')
+        notes.append('The inertia is assumed, because the recordings do not show it.')
     columns = ('joint', 'payload', 'residual')
-    return Table('RMS efforts of the payload, and residuals', columns, tuple(rows), tuple(notes))
+    title = 'RMS efforts of the payload and RMS residuals'
+    return Table(title, columns, tuple(rows), tuple(notes))
 
 
 def inertia_table(result: PayloadEstimate) -> Table:
@@ -74,14 +75,15 @@ def inertia_table(result: PayloadEstimate) -> Table:
     return Table(f'Payload in the frame of {result.link}', ('', 'value'), tuple(rows))
 
 
-def topic_command(result: PayloadEstimate, node: str) -> str:
+def topic_command(result: PayloadEstimate) -> str:
     """Return the command that publishes the payload to a node."""
     mass, com, inertia = result.body
     x, y, z = com
     numbers = [f'm: {mass:.4g}', f'com: {{x: {x:.4f}, y: {y:.4f}, z: {z:.4f}}}']
     numbers += [f'{name}: {value:.4g}' for name, value in _moments(inertia)]
     message = f'{{header: {{frame_id: {result.link}}}, inertia: {{{", ".join(numbers)}}}}}'
-    return f"ros2 topic pub --once {node}/payload geometry_msgs/msg/InertiaStamped '{message}'"
+    topic = '/inverse_dynamics/payload'
+    return f"ros2 topic pub --once {topic} geometry_msgs/msg/InertiaStamped '{message}'"
 
 
 def inertial_element(result: PayloadEstimate) -> str:
@@ -97,13 +99,13 @@ def inertial_element(result: PayloadEstimate) -> str:
 
 def as_json(result: PayloadEstimate, apparent: PayloadEstimate | None) -> dict[str, Any]:
     """Return the result as values for JSON; unknown coordinates are null."""
-    known = [axis not in result.unknown for axis in 'xyz']
     return {
         'link': result.link,
         'mass': result.body.mass,
         'mass_error': result.mass_error,
         'com': [
-            x if is_known else None for x, is_known in zip(result.body.com, known, strict=True)
+            None if axis in result.unknown else x
+            for axis, x in zip('xyz', result.body.com, strict=True)
         ],
         'com_error': result.com_error.tolist(),
         'inertia': result.body.inertia.tolist(),

@@ -16,7 +16,6 @@ from .tables import (
     decimals,
     effort_unit,
     fraction,
-    kind_of,
     number,
     Table,
     warnings_about,
@@ -65,7 +64,7 @@ def model_report(
 
 def _summary(dynamics: InverseDynamics) -> Table:
     robot = dynamics.robot
-    kinds = Counter(kind_of(robot, body) for body in range(1, len(robot.parent)))
+    kinds = Counter(_kind(robot, body) for body in range(1, len(robot.parent)))
     moving, count = float(np.sum(robot.mass[1:])), len(robot.joint_names)
     listed = ', '.join(f'{number} {kind}' for kind, number in kinds.items())
     mimics = len(robot.parent) - 1 - count
@@ -102,9 +101,9 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
     ]
     followers: dict[str, list[str]] = {}
     notes = [
-        'Axis: in the frame of the joint. Limits: positions from, to [rad, m], speed [rad/s, m/s] '
-        'and effort [N m, N]; "-" means no limit. Mass: all links between this joint and the next '
-        'joint.'
+        'Axis: in the frame of the joint. Limits: position "from" and "to" [rad, m], speed '
+        '[rad/s, m/s] and effort [N m, N]; "-" means no limit. Mass: all links between this joint '
+        'and the next joint.'
     ]
     for body in range(1, len(robot.parent)):
         name, joint = robot.body_names[body], int(robot.joint_index[body])
@@ -116,11 +115,11 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
         else:
             rule = f'{name} ({robot.multiplier[body]:g} q {robot.offset[body]:+g})'
             followers.setdefault(robot.joint_names[joint], []).append(rule.replace(' +0)', ')'))
-        kind, axis = kind_of(robot, body), _axis(robot.axis[body])
+        kind, axis = _kind(robot, body), _axis(robot.axis[body])
         rows.append((prefixes[body] + name, kind, axis, *of_joint, f'{robot.mass[body]:.4g}'))
     notes += [
-        f'The effort of {master} includes the efforts of joints that mimic the position q of '
-        f'{master}: ' + ', '.join(rules)
+        f'The effort of {master} includes the efforts of the joints that mimic its position q: '
+        + ', '.join(rules)
         for master, rules in followers.items()
     ]
     title = 'Joints, from the base outwards'
@@ -142,7 +141,7 @@ def _merged(robot: RobotModel) -> list[Table]:
         rows += [(name if i == 0 else '', line) for i, line in enumerate(lines)]
     if not rows:
         return []
-    columns = ('moves with', 'links, with mass [kg] if not zero')
+    columns = ('moves with', 'links, with their masses [kg] unless zero')
     title = 'Links that fixed joints hold together'
     return [Table(title, columns, tuple(rows), words=frozenset({1}))]
 
@@ -173,7 +172,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
         rows.append((name, f'{q[i]:.4f}', f'{efforts[i]:.{places}f} {unit}', number(limits[i]),
                      fraction(efforts[i], limits[i]), ', '.join(marks)))  # fmt: skip
     columns = ('joint', 'position', 'gravity effort', 'limit', 'ratio', '')
-    title = 'Efforts that hold the robot where it is'
+    title = 'Efforts that hold the robot in this pose'
     return Table(title, columns, tuple(rows), (), frozenset({5}), frozenset(marked))
 
 
@@ -191,6 +190,13 @@ def _limits(
             )
         limits[indices] = given
     return limits
+
+
+def _kind(robot: RobotModel, body: int) -> str:
+    """Return the kind of the joint that moves a body."""
+    if robot.is_prismatic[body]:
+        return 'prismatic'
+    return 'continuous' if robot.is_continuous[robot.joint_index[body]] else 'revolute'
 
 
 def _axis(axis: Floats) -> str:

@@ -8,7 +8,6 @@ same lines in colours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import auto, Enum
 import math
 import textwrap
 from typing import NamedTuple, TYPE_CHECKING
@@ -34,7 +33,11 @@ class Table(NamedTuple):
 
     title: str
     columns: tuple[str, ...] = ()
-    """Titles of the columns. The first column contains names, which may be shortened."""
+    """
+    Titles of the columns.
+
+    The first column contains names, which may be shortened. An empty column is left out.
+    """
     rows: tuple[tuple[str, ...], ...] = ()
     notes: tuple[str, ...] = ()
     words: frozenset[int] = frozenset()
@@ -43,25 +46,11 @@ class Table(NamedTuple):
     """Indices of the rows that need attention, such as a joint beyond a limit."""
 
 
-class Style(Enum):
-    """The role of a line, which determines its colour on a terminal."""
-
-    TITLE = auto()
-    COLUMNS = auto()
-    ROW = auto()
-    MARKED_ROW = auto()
-    NOTE = auto()
-    WARNINGS = auto()
-    NO_WARNINGS = auto()
-    WARNING = auto()
-    HINT = auto()
-
-
 class Line(NamedTuple):
-    """One line of text and its role."""
+    """One line of text, and its style on a terminal in the notation of the library rich."""
 
     text: str
-    style: Style
+    style: str = ''
 
 
 def as_text(table: Table, whole_names: bool = False) -> str:
@@ -76,14 +65,13 @@ def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> 
     With `whole_names`, names are not shortened, so that programs can read the names. Lines can
     then be longer than `width`.
     """
-    lines = [Line(escaped(table.title), Style.TITLE)]
+    lines = [Line(escaped(table.title), 'bold')]
     if table.rows:
         columns, *rows = _aligned(table, math.inf if whole_names else width - 2)
-        lines.append(Line(columns, Style.COLUMNS))
-        for k, row in enumerate(rows):
-            lines.append(Line(row, Style.MARKED_ROW if k in table.marked else Style.ROW))
+        lines.append(Line(columns, 'cyan'))
+        lines += [Line(row, 'bold red' if k in table.marked else '') for k, row in enumerate(rows)]
     for note in table.notes:
-        lines += [Line(line, Style.NOTE) for line in wrapped(note, width - 2)]
+        lines += [Line(line, 'dim') for line in wrapped(note, width - 2)]
     return [lines[0], *(Line(f'  {text}'.rstrip(), style) for text, style in lines[1:])]
 
 
@@ -102,8 +90,8 @@ def wrapped(text: str, width: int, first: str = '', rest: str = '') -> list[str]
 def _aligned(table: Table, width: float) -> list[str]:
     """Return a line of column titles, and one line for each row."""
     cells = [tuple(map(escaped, row)) for row in (table.columns, *table.rows)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(table.columns))]
-    spare = width - sum(widths[1:]) - len(_GAP) * (len(widths) - 1)
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    spare = width - sum(widths[1:]) - len(_GAP) * np.count_nonzero(widths[1:])
     widths[0] = int(min(widths[0], max(SHORTEST_NAME, spare)))
     names = [shortened(cells[0][0], widths[0])]
     names += all_shortened([row[0] for row in cells[1:]], widths[0])
@@ -113,6 +101,7 @@ def _aligned(table: Table, width: float) -> list[str]:
             + [
                 shortened(cell, size).ljust(size) if k in table.words else cell.rjust(size)
                 for k, (cell, size) in enumerate(zip(row[1:], widths[1:], strict=True), 1)
+                if size
             ]
         )
         for name, row in zip(names, cells, strict=True)
@@ -135,16 +124,15 @@ def warnings_as_text(warnings: Sequence[ModelWarning]) -> str:
 def warning_lines(warnings: Sequence[ModelWarning], width: int = WIDTH) -> list[Line]:
     """Format warnings as lines, grouped by their hints."""
     if not warnings:
-        return [Line('No warnings.', Style.NO_WARNINGS)]
-    plural = 's' if len(warnings) > 1 else ''
-    lines = [Line(f'{len(warnings)} warning{plural}', Style.WARNINGS)]
+        return [Line('No warnings.')]
+    lines = [Line(counted(len(warnings), 'warning'), 'bold yellow')]
     groups: dict[str, list[ModelWarning]] = {}
     for warning in warnings:
         groups.setdefault(warning.hint, []).append(warning)
     for hint, group in groups.items():
         for warning in group:
-            lines += [Line(x, Style.WARNING) for x in wrapped(str(warning), width, '  ', '    ')]
-        lines += [Line(x, Style.HINT) for x in wrapped(hint, width, '    -> ', '       ')]
+            lines += map(Line, wrapped(str(warning), width, '  ', '    '))
+        lines += [Line(x, 'cyan') for x in wrapped(hint, width, '    -> ', '       ')]
     return lines
 
 
@@ -190,16 +178,19 @@ def _common_prefix(names: Sequence[str]) -> int:
 # ---- Numbers and units ---------------------------------------------------------------------
 
 
-def kind_of(robot: RobotModel, body: int) -> str:
-    """Return the kind of the joint that moves a body."""
-    if robot.is_prismatic[body]:
-        return 'prismatic'
-    return 'continuous' if robot.is_continuous[robot.joint_index[body]] else 'revolute'
-
-
 def effort_unit(robot: RobotModel, joint: int) -> str:
     """Return the unit of an effort, padded to three characters."""
     return 'N  ' if robot.is_prismatic_joint[joint] else 'N m'
+
+
+def counted(count: int, noun: str) -> str:
+    """Write a number and a noun, which is in the plural unless the number is 1."""
+    return f'{count} {noun}' if count == 1 else f'{count} {noun}s'
+
+
+def or_dash(value: float, how: str) -> str:
+    """Write a number in the format `how`, or a dash for a number that is not finite."""
+    return format(value, how) if math.isfinite(value) else '-'
 
 
 def number(value: float) -> str:

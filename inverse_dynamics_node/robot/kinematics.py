@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 import re
 
@@ -68,6 +68,14 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def rotation_of_origin(attributes: Mapping[str, str]) -> Floats:
+    """Return the rotation matrix for the attributes of an ``<origin>``."""
+    rpy = attributes.get('rpy', '0 0 0')
+    if 'quat_xyzw' in attributes:
+        rpy = rpy_of_quaternion(attributes['quat_xyzw'])
+    return rotation_of_rpy(*(float(word) for word in rpy.split()))
 
 
 def rpy_of_quaternion(text: str) -> str:

@@ -69,7 +69,7 @@ class JointStateReader:
         try:
             message = deserialize_message(data, JointState)
         except Exception:  # the type of the error depends on the middleware
-            raise JointStateError(f'{len(data)} bytes are not a JointState') from None
+            raise JointStateError(f'{len(data)} bytes cannot be read as a JointState') from None
         numbers = [np.asarray(x) for x in (message.position, message.velocity, message.effort)]
         arrays = JointStateArrays(self._prepare(tuple(message.name)), *numbers)
         if data.startswith(_CDR_LITTLE_ENDIAN):

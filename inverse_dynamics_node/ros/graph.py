@@ -8,8 +8,8 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.status import Others, SimulatedTime
-from ..control.status_text import join_names
+from ..control.status import ClockStatus, NodeNames, OtherNodesStatus
+from ..control.status_text import judge_clock
 
 _DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
 _MAX_CHECKS = 10  # longest wait for the name of a subscriber, in checks
@@ -65,7 +65,7 @@ class Graph:
         """Return the name of the command topic and the nodes that subscribe to it."""
         commands = self._commands
         self._has_subscribers = bool(commands.get_subscription_count())
-        names = join_names(self._subscribers(commands)) if self._has_subscribers else ''
+        names = NodeNames.of(self._subscribers(commands)) if self._has_subscribers else ''
         self._reported = commands.topic_name
         return f'{commands.topic_name} ({names or "no subscriber yet"})'
 
@@ -89,9 +89,9 @@ class Graph:
         if not has_subscribers:
             return f'the last subscriber of {self._reported} is gone'
         self._reported = commands.topic_name
-        return f'first subscriber of {self._reported}: {join_names(names)}'
+        return f'first subscriber of {self._reported}: {NodeNames.of(names)}'
 
-    def others(self) -> Others:
+    def others(self) -> OtherNodesStatus:
         """
         Return the interfering nodes that both this call and the previous call have found.
 
@@ -110,27 +110,25 @@ class Graph:
             for name, namespace in self._node.get_node_names_and_namespaces()
         )
         namesakes = nodes[self._name] - 1
-        seen = Others(
-            name=self._name,
+        seen = OtherNodesStatus(
             commands=topic,
-            subscribers=tuple(self._subscribers(commands)),
-            rivals=tuple(sorted(rivals & self._last_rivals)),
+            subscribers=NodeNames.of(self._subscribers(commands)),
+            rivals=NodeNames.of(sorted(rivals & self._last_rivals)),
             namesakes=max(0, min(namesakes, self._last_namesakes)),
         )
         self._last_rivals, self._last_namesakes = rivals, namesakes
         return seen
 
-    def simulated_time(self) -> SimulatedTime:
-        """Return the simulated time, and for how long it has not changed."""
+    def clock(self) -> ClockStatus:
+        """Judge the simulated time by how long it has not changed."""
         now = self._node.get_clock().now().nanoseconds
         steady = time.monotonic()
         if now != self._last_time:
             self._last_time, self._last_advance = now, steady
-        return SimulatedTime(
-            time=now * 1e-9,
-            unchanged_for=steady - self._last_advance,
-            publishers=int(self._node.count_publishers(self._node.resolve_topic_name('/clock'))),
-        )
+        seconds, unchanged_for = now * 1e-9, steady - self._last_advance
+        publishers = int(self._node.count_publishers(self._node.resolve_topic_name('/clock')))
+        judgement = judge_clock(seconds, unchanged_for, publishers)
+        return ClockStatus(*judgement, seconds, unchanged_for, publishers)
 
     def _rivals(self, commands: Any) -> set[str]:
         """Return the other nodes that publish on the topic and with the type of `commands`."""

@@ -54,23 +54,21 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     enforce security. Only DDS middleware reads the enclave; rmw_zenoh ignores the enclave.
     """
     enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
-    problems = []
     if enabled not in ('', 'true', 'false'):
-        problems.append(
-            f"{_SECURITY} is '{enabled}', expected true or false: ROS would start without security"
+        raise ConfigurationError(
+            f"{_SECURITY} is '{enabled}', expected true or false; with '{enabled}', ROS would "
+            'start without security'
         )
-    elif enabled == 'true' and strategy not in ('', 'Enforce', 'Permissive'):
-        problems.append(
-            f"{_STRATEGY} is '{strategy}', expected Enforce or Permissive: ROS would not enforce "
-            'security'
+    if enabled == 'true' and strategy not in ('', 'Enforce', 'Permissive'):
+        raise ConfigurationError(
+            f"{_STRATEGY} is '{strategy}', expected Enforce or Permissive; with '{strategy}', ROS "
+            'would not enforce security'
         )
-    elif enabled == 'true' and strategy == 'Enforce' and not rmw.startswith(_SECURE):
-        problems.append(
-            f'{rmw} does not enforce the security of ROS 2; with {_STRATEGY}=Enforce, expected '
+    if enabled == 'true' and strategy == 'Enforce' and not rmw.startswith(_SECURE):
+        raise ConfigurationError(
+            f'{rmw} does not enforce the security of ROS 2; with {_STRATEGY}=Enforce, use '
             f'one of {", ".join(_SECURE)}'
         )
-    if problems:
-        raise ConfigurationError(*problems)
 
 
 def security_hints(error: Exception) -> list[str]:

@@ -37,6 +37,7 @@ _SETTLING = 0.3  # [s]; time until the filters of this process agree with the fi
 _QUEUE = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LOG = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_EFFORTS = 'external_efforts', 'joint_efforts'
 _CHECK_MODEL = '/check_model'
 
 
@@ -135,14 +136,14 @@ class Observer:
         self._clear()
 
     def _clear(self) -> None:
-        count = len(self.robot.joint_names) if self.robot else 0
-        self._index = {
-            name: i for i, name in enumerate(self.robot.joint_names if self.robot else ())
-        }
-        self._positions, self._external, self._commands = np.full((3, count), np.nan)
+        names = self.robot.joint_names if self.robot else ()
+        count = len(names)
+        self._index = {name: i for i, name in enumerate(names)}
+        self._positions = np.full(count, np.nan)
         self._filtered = np.full((3, count), np.nan)
+        self._efforts = {topic: np.full(count, np.nan) for topic in _EFFORTS}
+        self._effort_times = dict.fromkeys(_EFFORTS, -np.inf)  # of arrival
         self._filters: dict[tuple[str, ...], LowPass] = {}
-        self._external_time = self._commands_time = -np.inf
         self._settled_at = np.inf
         self._last_q: tuple[float, Floats] | None = None
 
@@ -188,12 +189,12 @@ class Observer:
             if now > last:
                 qd = (q - last_values) / (now - last)
         self._last_q = now, q
-        external = self._external.copy()
-        if now < self._settled_at or now > self._external_time + _STALE:
+        external, commands = (
+            np.where(now > self._effort_times[topic] + _STALE, np.nan, efforts)
+            for topic, efforts in self._efforts.items()
+        )
+        if now < self._settled_at:
             external[:] = np.nan
-        commands = self._commands.copy()
-        if now > self._commands_time + _STALE:
-            commands[:] = np.nan
         return Sample(now, self._positions.copy(), q, qd, measured, measured - external, commands)
 
     def _subscribe(self, kind: Any, topic: str, profile: QoSProfile, raw: bool = False) -> Any:
@@ -290,13 +291,10 @@ class Observer:
         self._filtered[:, index] = filtered[:, ours]
 
     def _read_efforts(self) -> None:
-        for name, target in (
-            ('external_efforts', self._external),
-            ('joint_efforts', self._commands),
-        ):
-            if name not in self._subscriptions:
+        for topic, target in self._efforts.items():
+            if topic not in self._subscriptions:
                 continue
-            for data, _ in self._take(self._subscriptions[name], JointState, True):
+            for data, _ in self._take(self._subscriptions[topic], JointState, True):
                 try:
                     arrays = self._reader.read(data)
                 except JointStateError:
@@ -305,7 +303,4 @@ class Observer:
                 for joint, effort in zip(arrays.joints, arrays.efforts, strict=False):
                     if joint in self._index:
                         target[self._index[joint]] = effort
-                if name == 'external_efforts':
-                    self._external_time = time.monotonic()
-                else:
-                    self._commands_time = time.monotonic()
+                self._effort_times[topic] = time.monotonic()

@@ -48,7 +48,9 @@ def apply_payload(node: Node, observer: Observer, link: str, payload: RigidBody)
         now = time.monotonic()
         if now > end:
             last = f': {observer.log[-1].text}' if observer.log else ''
-            raise ConfigurationError(f'{observer.name} does not use the payload on {topic}{last}')
+            raise ConfigurationError(
+                f'{observer.name} does not use the payload sent on {topic}{last}'
+            )
         if now > due and publisher.get_subscription_count():
             publisher.publish(message)
             due = now + _REPETITION

@@ -159,7 +159,7 @@ class JointStateRecorder:
                 'be reached'
             )
         if not self.topic or status.model is None:
-            return f'{name} is {status.loop.state}, and has no joint states: configure the node'
+            return f'{name} is {status.loop.state}, so it has no joint states: configure the node'
         if not found:
             return (
                 f'no joint states on {self.topic} for {_PATIENCE:g} s: start the driver of the '
@@ -172,7 +172,7 @@ class JointStateRecorder:
             return f'no joint states of {", ".join(missing)} on {self.topic} for {_PATIENCE:g} s'
         if not any(found.get(joint) for joint in joints):
             return (
-                f'the joint states on {self.topic} have no efforts: let the driver publish '
-                'measured efforts, because the payload is computed from measured efforts'
+                f'the joint states on {self.topic} have no efforts; let the driver publish '
+                'measured efforts, from which the payload is computed'
             )
         return ''

@@ -8,7 +8,7 @@ a joint has become too fast.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -90,16 +90,6 @@ class PositionDrive:
         return position, velocity, acceleration
 
 
-class Log(Protocol):
-    """A logger of rclpy or of Python."""
-
-    def info(self, message: str) -> object:
-        """Log an event of normal operation."""
-
-    def error(self, message: str) -> object:
-        """Log a fault."""
-
-
 def velocity_bounds(robot: RobotModel) -> Floats:
     """
     Return the largest permitted speed of each joint, shape (n,) [rad/s or m/s].
@@ -113,8 +103,7 @@ def velocity_bounds(robot: RobotModel) -> Floats:
     )
     limits = robot.velocity_limits
     wanted = np.where(np.isfinite(limits), SPEED_FACTOR * limits, default)
-    bounds: Floats = np.clip(wanted, least, most)
-    return bounds
+    return np.asarray(np.clip(wanted, least, most))
 
 
 class HandOver:
@@ -124,11 +113,12 @@ class HandOver:
     The commands take over after they have arrived for ``release`` seconds and have stopped rising.
     An earlier hand-over would drop the robot. The position controller ``drive`` takes over when
     the commands stop, when `hold` is called, or when a joint becomes too fast. After a joint has
-    become too fast, commands are ignored until they pause. The brakes must be open.
+    become too fast, commands are ignored until they pause. The brakes must be open. ``log`` is a
+    logger of rclpy or of Python.
     """
 
     def __init__(
-        self, actuation: Actuation, drive: PositionDrive, release: float, log: Log
+        self, actuation: Actuation, drive: PositionDrive, release: float, log: Any
     ) -> None:
         self._actuation, self._drive, self._release, self._log = actuation, drive, release, log
         self._robot = robot = actuation.robot
@@ -162,7 +152,7 @@ class HandOver:
                 return
             self._drive.is_on = False
             self._log.info('the robot follows the commands')
-        self._actuation.command(command)
+        self._actuation.command = command
 
     def _compare(self, efforts: Floats, now: float) -> None:
         """If the efforts have changed, restart the timer for steady efforts."""
@@ -190,7 +180,7 @@ class HandOver:
             self._log.info('the commands have paused; the robot will follow the next commands')
         if not self._drive.is_on:
             self._drive.take_over(now)
-            self._log.info('no commands arrive: the position controller holds the robot')
+            self._log.info('no commands arrive, so the position controller holds the robot')
 
     def _step(self, now: float, duration: float) -> None:
         if not self._drive.is_on:
@@ -201,8 +191,8 @@ class HandOver:
             self._has_fault = True
             self._drive.stand_still(now)
             self._log.error(
-                f'{self._excess(speeds)}: the position controller brakes the robot and holds it. '
-                'Check signs, units and payloads with inverse_dynamics watch. Commands are '
+                f'{self._excess(speeds)}, so the position controller brakes the robot and holds '
+                'it. Check signs, units and payloads with inverse_dynamics watch. Commands are '
                 f'ignored until they pause for {SILENCE} s. To pause the commands, set dry_run of '
                 'the node to true. Then remove the cause, and set dry_run to false'
             )
@@ -218,8 +208,8 @@ class HandOver:
         if now >= self._complaint_due:
             self._complaint_due = now + COMPLAINT_PERIOD
             self._log.error(
-                f'{excess} although the position controller holds the robot: the brakes stop it. '
-                'A payload or a push may be too large for the effort limits of the URDF'
+                f'{excess} although the position controller holds the robot, so the brakes stop '
+                'it. A payload or a push may be too large for the effort limits of the URDF'
             )
 
     def _excess(self, speeds: Floats) -> str:
@@ -228,7 +218,9 @@ class HandOver:
         i = int(np.argmax(speeds / self._bounds))
         unit = 'm/s' if robot.is_prismatic_joint[i] else 'rad/s'
         limit = robot.velocity_limits[i]
-        source = f'velocity limit {limit:.3g}' if math.isfinite(limit) else 'no velocity limit'
+        source = 'no velocity limit'
+        if math.isfinite(limit):
+            source = f'velocity limit {limit:.3g} {unit}'
         return (
             f"joint '{robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more than "
             f'{self._bounds[i]:.3g} {unit} ({source} in the URDF)'

@@ -127,7 +127,7 @@ def _by_name(message: Any, field: str, joints: Sequence[str]) -> Floats:
     values = dict(zip(message.name, getattr(message, field), strict=False))
     missing = [joint for joint in joints if joint not in values]
     if missing:
-        raise ValueError(f'the message has no {field} of {", ".join(missing)}')
+        raise ValueError(f'the message has no {field} for {", ".join(missing)}')
     return _finite([values[joint] for joint in joints], field)
 
 
@@ -149,20 +149,17 @@ class Actuation:
         self._state_index = [robot.state_names.index(name) for name in joints]
         inertia = robot.mass_matrix().diagonal()[self._index]
         self._kp, self._kd = (gain * inertia for gain in driver.gains)
-        self._command = Command(np.zeros(len(joints)))
-
-    def command(self, command: Command) -> None:
-        """Store a command, which `act` applies until the next command is stored."""
-        self._command = command
+        self.command = Command(np.zeros(len(joints)))
+        """The latest command, which `act` applies."""
 
     def with_gravity(self, efforts: Floats) -> Floats:
         """Return the commanded efforts, shape (m,), with gravity if the robot adds gravity."""
         return efforts + self._gravity() if self.driver.adds_gravity else efforts
 
     def act(self) -> None:
-        """Apply the efforts of the stored command for the current state of the robot."""
-        efforts = self.with_gravity(self._command.efforts)
-        _, positions, velocities = self._command
+        """Apply the efforts of the latest command for the current state of the robot."""
+        efforts, positions, velocities = self.command
+        efforts = self.with_gravity(efforts)
         if positions is not None and velocities is not None:
             efforts = efforts + self._kp * (positions - self.robot.positions()[self._index])
             efforts += self._kd * (velocities - self.robot.velocities()[self._index])

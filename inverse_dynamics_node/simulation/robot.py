@@ -59,6 +59,7 @@ from ..errors import InverseDynamicsError
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
+from ..robot.urdf.schema import inertia_tensor, MOMENTS
 from ..ros.middleware import explained_start, start_ros
 from ..ros.qos import LATCHED
 from .drive import COMPLAINT_PERIOD, GAP, HandOver, PositionDrive
@@ -100,8 +101,7 @@ class RobotNode(Node):
         self._tilt = Tilt()
         self._has_sensors = True
         self._brake_release = brake_release
-        self._last_command = -math.inf
-        self._flow_began = -math.inf
+        self._last_command = self._flow_began = -math.inf
         self._began: int | None = None
         self._elapsed = 0.0
         self._complaint_due = -math.inf
@@ -174,13 +174,7 @@ class RobotNode(Node):
 
     def _on_payload(self, message: InertiaStamped) -> None:
         load = message.inertia
-        tensor = np.array(
-            [
-                [load.ixx, load.ixy, load.ixz],
-                [load.ixy, load.iyy, load.iyz],
-                [load.ixz, load.iyz, load.izz],
-            ]
-        )
+        tensor = inertia_tensor([getattr(load, name) for name in MOMENTS])
         link, world = message.header.frame_id, self._robot.world
         self._apply(lambda: world.set_payload(link, load.m, _read(load.com), tensor))
 
@@ -216,7 +210,7 @@ class RobotNode(Node):
             return
         if self._hand_over is None:
             self._update_brakes()
-            self._actuation.command(command)
+            self._actuation.command = command
             self._actuation.act()
         elif self._has_sensors:
             self._hand_over.command(command, self._elapsed)
@@ -242,7 +236,7 @@ class RobotNode(Node):
         if now - self._last_command > GAP or not self._has_sensors:
             self._flow_began = now
         self._last_command = now
-        if self._robot.brakes_on and now - self._flow_began >= self._brake_release:
+        if now - self._flow_began >= self._brake_release:
             self._set_brakes(False)
 
     def _set_brakes(self, on: bool) -> None:

@@ -91,7 +91,7 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     or if the drives are too weak for all sampled poses.
     """
     if not robot.joint_names:
-        raise SimulationError(f'robot {robot.name!r} has no joint that moves')
+        raise SimulationError(f'robot {robot.name!r} has no joint that can move')
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     lower = np.where(bounded, robot.lower, -np.pi)
     upper = np.where(bounded, robot.upper, np.pi)
@@ -102,19 +102,23 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     if min(loads) > EFFORT_USED:
         raise SimulationError(_too_weak(robot, dynamics.gravity_efforts(poses[np.argmin(loads)])))
     easy = poses[np.array(loads) <= max(0.5, min(loads))]
-    return max(easy, key=lambda q: independence(dynamics.mass_matrix(q)))
+
+    def independence(q: Floats) -> float:
+        return float(np.linalg.eigvalsh(with_unit_diagonal(dynamics.mass_matrix(q)))[0])
+
+    return max(easy, key=independence)
 
 
-def independence(inertia: Floats) -> float:
-    """Return the smallest eigenvalue of a mass matrix scaled to a unit diagonal, from 0 to 1."""
+def with_unit_diagonal(inertia: Floats) -> Floats:
+    """Scale a mass matrix to a unit diagonal; strong coupling makes an eigenvalue small."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
-    return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
+    return inertia * np.outer(scale, scale)
 
 
 def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     weak = [
-        f'joint {name!r} needs {abs(effort):.3g} {"N" if slides else "N m"} against gravity '
-        f'(limit {limit:g})'
+        f'joint {name!r} needs {abs(effort):.3g} of {limit:g} {"N" if slides else "N m"} against '
+        'gravity'
         for name, slides, effort, limit in zip(
             robot.joint_names, robot.is_prismatic_joint, efforts, robot.effort_limits, strict=True
         )
@@ -122,8 +126,8 @@ def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     ]
     return (
         'the effort limits of the URDF are too small to hold and move the weight of the robot: in '
-        f'the best of the sampled poses, {", ".join(weak)}. Write the limits of the data sheet '
-        'into <limit effort>, and check the masses'
+        f'the best of the sampled poses, {", ".join(weak)}. Write the limits from the data '
+        'sheet into <limit effort>, and check the masses'
     )
 
 

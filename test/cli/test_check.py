@@ -51,7 +51,7 @@ def test_warns_without_limits(tmp_path, capsys):
     assert main(['check', str(urdf), '--samples', '16', '--strict']) == 3
     output = capsys.readouterr().out
     assert output.startswith('Usable, with 1 warning. No joint has an effort limit.\n')
-    assert '0 is read as unknown' in output
+    assert '0 means unknown' in output
     assert not list(tmp_path.glob('*.png'))
     assert '-> write the largest effort of the joint' in output
 

@@ -74,7 +74,7 @@ def test_finds_a_swapped_sign(recorded, here, capsys):
     )
     assert compare('run', '--no-picture', '--strict') == 3
     output = capsys.readouterr().out
-    assert output.startswith('joint_3 has its sign swapped. ')
+    assert output.startswith('joint_3 reports efforts with the wrong sign. ')
     assert '1 warning\n' in output
 
 
@@ -93,7 +93,7 @@ def test_finds_a_payload_and_nothing_once_it_is_passed(here, capsys):
     output = capsys.readouterr().out
     assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not have. ")
     assert '1 warning\n' in output
-    again = ' '.join(output.split()).split('To see the remaining difference: ')[1].split()[:4]
+    again = ' '.join(output.split()).split('To see the remaining difference, use ')[1].split()[:4]
     assert again[:3] == ['--link', 'tool0', '--payload']
     assert [float(x) for x in again[3].split(',')] == pytest.approx([1.2, 0, 0.03, 0.06], abs=0.01)
     assert compare('run', '--no-picture', '--strict', *again) == 0
@@ -139,7 +139,7 @@ def test_parameters_of_the_node_say_what_the_recorded_efforts_contain(here, caps
         include_gravity=False, measured_gravity='included', measured_effort_scale=scale
     )
     assert code == 3
-    assert 'lack gravity, although measured_gravity is included' in output
+    assert 'lack gravity, although measured_gravity is set to included' in output
     assert compared(include_gravity=False)[0] == 3
 
 
@@ -252,7 +252,7 @@ def test_finds_the_topic_that_has_efforts(short, here, capsys):
     write_bag(here / 'run', short, topic='/arm/joint_states', extra=('/desired', '/gui'))
     assert read_measured_states(here / 'run', JOINTS)[0].efforts.shape == (1500, 6)
     assert compare('run', '--no-picture', '--topic', '/desired') == 1
-    assert 'no message has an effort' in capsys.readouterr().err
+    assert 'are empty or NaN, expected measured efforts' in capsys.readouterr().err
     assert compare('run', '--no-picture', '--topic', 'arm/joint_states') == 0
 
 
@@ -298,7 +298,7 @@ def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
     assert main(['compare', str(urdf), 'run.csv', '--no-picture']) == 0
     output = ' '.join(capsys.readouterr().out.split())
     assert 'Ignored joints that the robot does not have: stranger.' in output
-    note = 'Mimic joints, included in the efforts of the joints that they mimic'
+    note = 'Mimic joints, whose efforts are part of the efforts of the joints that they mimic'
     assert f'{note}: {names[-2]}.' in output
 
 
@@ -356,10 +356,10 @@ def broken(short, here, how):
     [
         ('names', 'has no joint of this robot, only a, b, c, d, e, f; expected some of joint_1'),
         ('two times', "2 columns 'time', expected one"),
-        ('twice', "/joint_states: message 0 has joint 'joint_1' more than once"),
+        ('twice', "/joint_states: message 0 names joint 'joint_1' more than once"),
         ('no names', 'has no joint names; expected some of joint_1'),
-        ('no efforts', 'no message has an effort of any joint of this robot'),
-        ('no positions', "joint 'joint_1' never has a position"),
+        ('no efforts', 'all efforts of the joints of this robot are empty or NaN'),
+        ('no positions', "all positions of joint 'joint_1' are empty or NaN"),
         ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),
         ('row', 'line 2 has 2 values, but the header has 3 columns'),
         ('bytes', 'run.csv: is not a CSV file'),
@@ -374,11 +374,11 @@ def broken(short, here, how):
             "cells are separated by ';', expected ','; the columns are time, joint_1.effort; "
             "expected 'time' [s]",
         ),
-        ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; no topic has'),
-        ('no topic', 'has no topic of type sensor_msgs/msg/JointState; it has /joint_states'),
+        ('two topics', 'several topics of type sensor_msgs/msg/JointState (/a, /b), none of'),
+        ('no topic', 'has no topic of type sensor_msgs/msg/JointState; topics: /joint_states'),
         ('half a file', 'half.mcap: '),
         ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder, or one of these files'),
-        ('kind', "is a '.bagpipe' file, expected a rosbag2 folder, .mcap, .db3 or .csv"),
+        ('kind', "is a '.bagpipe' file, expected a rosbag2 folder, or a .mcap, .db3 or .csv file"),
         ('nothing', 'no such file or folder'),
     ],
 )
@@ -395,7 +395,7 @@ def test_errors_are_one_line(short, here, how, words, capsys):
     [
         (['--link', 'tool9'], "link 'tool9' does not exist"),
         (['--payload', '-1'], 'mass is -1.0'),
-        (['--topic', '/joint_states'], 'a CSV file has no topic'),
+        (['--topic', '/joint_states'], 'a CSV file has no topics'),
     ],
 )
 def test_invalid_settings_are_reported(short, here, arguments, words, capsys):

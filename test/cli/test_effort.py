@@ -145,14 +145,14 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     assert main(arguments) == 0
     output = capsys.readouterr().out
     assert 'beyond: effort, speed' in output
-    assert '\n\nThe motion exceeds limits: at most ' in output
+    assert '\n\nThe motion exceeds limits: up to ' in output
     assert main([*arguments, '--strict']) == 3
     slow = str(write(LISTS.replace('0.5, 1]', '5, 10]')))
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
     last = capsys.readouterr().out.split('\n\n')[-1]
     assert ' '.join(last.split()) == (
-        'The motion stays within the known limits: at most 32% of the effort limit of joint_2, '
-        'at most 15% of the speed limit of joint_3.'
+        'The motion stays within the known limits: up to 32% of the effort limit of joint_2, '
+        'up to 15% of the speed limit of joint_3.'
     )
 
 
@@ -161,9 +161,9 @@ def test_warns_about_positions_in_degrees(write, capsys):
     assert main(['effort', str(STANFORD), str(write(degrees)), '--no-picture']) == 0
     output = capsys.readouterr().out
     words = ' '.join(output.split())
-    assert 'positions of joint_2 outside their limits.' in words
+    assert 'joint_2 outside the position limits.' in words
     assert re.search(r'joint_2 is at -7\d(\.\d+)? rad, outside its limits .*degrees\?\)', words)
-    assert re.search(r'joint_2: (effort|speed) [\d.]+ times .*its limit', output)
+    assert re.search(r'joint_2: the (effort|speed) is [\d.]+ times its limit', words)
     assert main(['effort', str(STANFORD), str(write(LISTS)), '--no-picture']) == 0
     assert 'warning' not in capsys.readouterr().out
 
@@ -257,7 +257,7 @@ def test_reads_the_first_of_several_trajectories(write):
 def test_derivatives_of_some_points_only_are_not_used(write):
     trajectory, notes = read(write(ECHO.replace('  - 0.0\n  - 0.0\n', '    []\n', 1)))
     assert trajectory.velocities is None
-    assert notes == ('velocities are not used: only 1 of 2 points have them',)
+    assert notes == ('velocities are not used, because only 1 of 2 points have them',)
 
 
 @pytest.mark.parametrize(
@@ -318,10 +318,10 @@ def test_reads_columns_with_the_suffix_position(write):
         ('time\tjoint_1\n0\t1\n', "separated by tabs, expected ','; the columns are time, "),
         (
             'time,elbow\n0,1\n',
-            'no column has the positions of a joint of this robot; the columns are time, elbow',
+            'no column contains positions of a joint of this robot; the columns are time, elbow',
         ),
-        ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no column of positions"),
-        ('time,joint_1,joint_1\n0,1,2\n', "two columns hold the position of joint 'joint_1'"),
+        ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no position column"),
+        ('time,joint_1,joint_1\n0,1,2\n', "two columns contain the position of joint 'joint_1'"),
         ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, but the header has 2 columns'),
         ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
     ],
@@ -436,7 +436,7 @@ def test_reads_recorded_joint_states(record):
         '50 joint states',
         'ignored 1 joint states that are not later than the previous state',
         'ignored joints that the robot does not have: wheel',
-        'ignored joint states of other publishers: joint_6',
+        'ignored joint states with other joint names: joint_6',
     )
 
 
@@ -465,7 +465,7 @@ def test_several_topics_without_the_default_one_are_an_error(record):
     with pytest.raises(TrajectoryError, match='choose one with --topic'):
         read(bag)
     assert len(read(bag, '/left/joint_states').trajectory.times) == 1
-    with pytest.raises(TrajectoryError, match=r"'/up'; the topics are /left/joint_states"):
+    with pytest.raises(TrajectoryError, match=r"'/up'; topics: /left/joint_states"):
         read(bag, '/up')
 
 
@@ -491,13 +491,13 @@ def test_joint_states_are_preferred_to_single_points(record, capsys):
     trajectory, notes = read(bag)
     assert len(trajectory.times) == 5
     assert notes[0] == 'topic /joint_states'
-    assert notes[-1] == 'topics with single points are not used: /node/reference'
+    assert notes[-1].endswith('have a single point are not used: /node/reference')
     command = ['effort', str(STANFORD), str(bag), '--no-picture', '--topic', '/node/reference']
     assert main(command) == 0
     output = capsys.readouterr().out
     assert '  1 point in 0 s, 2 joints\n' in output
     assert 'topic /node/reference: trajectory 1 of 5' in output
-    assert 'the trajectory has a single point; other values for --topic: /joint_states' in output
+    assert 'a single point; other topics to select with --topic: /joint_states' in output
 
 
 def test_reads_the_longest_trajectory_and_lists_the_others(record):
@@ -520,7 +520,7 @@ def test_recordings_without_a_trajectory_are_rejected(record):
     def messages(recording):
         recording.write('/joint_states', recording.state(1.0, {'wheel': 0.0}), 1.0)
 
-    with pytest.raises(TrajectoryError, match='contain no joint of this robot, but wheel'):
+    with pytest.raises(TrajectoryError, match='contain no joint of this robot, only wheel'):
         read(record(messages))
 
 

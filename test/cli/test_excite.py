@@ -44,9 +44,9 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
     assert 'effort' not in (here / 'stanford_excite.yaml').read_text()
     for words in (
         'Expected standard errors of one run',
-        'space of the links',
+        'space that the links need',
         'noise',
-        'smallest distances, including the way to the start: ',
+        'smallest distances, including the motion to the start pose: ',
         'a radius of 0.',
         'random motions within the same limits',
     ):

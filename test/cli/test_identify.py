@@ -21,7 +21,7 @@ def test_writes_urdf_parameters_report_and_picture(here, capsys, size_of):
     outputs = ['--output', 'new.urdf', '--parameters', 'node.yaml', '--json', 'report.json']
     assert main(['identify', str(ROBOT), 'fit.csv', '--validate', 'check.csv', *outputs]) == 0
     text = capsys.readouterr().out
-    assert text.startswith('On unseen data the identified model leaves ')
+    assert text.startswith('On unseen data, the identified model leaves ')
     report = json.loads((here / 'report.json').read_text())
     assert report['accepted'] is True
     for joint in report['joints']:

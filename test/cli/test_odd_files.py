@@ -27,19 +27,19 @@ JOINTS = tuple(f'joint_{i}' for i in range(1, 7))
         ('&a [*a]', 'alias'),
         (BOMB + 'joint_names: *a11\npoints: []', r'joint_names is \[\['),
         (BOMB + 'joint_names: [j]\ntimes: [0]\npositions: [*a11]', 'expected 1 numbers, got 9'),
-        (BOMB + 'joint_names: [j]\ntimes: *a11\npositions: *a11', 'times: contains a list'),
+        (BOMB + 'joint_names: [j]\ntimes: *a11\npositions: *a11', 'times contain a list'),
         (BOMB + 'joint_names: [j]\npoints: [{positions: [0], time_from_start: *a11}]', r'is \[\['),
-        ('[' * 200_000, 'line 1: more than 20 levels|nesting depth'),
-        ('joint_names: ' + '{a: ' * 50_000, 'line 1: more than 20 levels|nesting depth'),
-        ('- ' * 50_000, 'line 1: more than 20 levels|nesting depth'),
+        ('[' * 200_000, 'line 1: lists are nested more than|nesting depth'),
+        ('joint_names: ' + '{a: ' * 50_000, 'line 1: lists are nested more than|nesting depth'),
+        ('- ' * 50_000, 'line 1: lists are nested more than|nesting depth'),
         (LISTS.format(times='[0, 1700000000]'), r'3.4e\+11 states are too many'),
-        (LISTS.format(times=f'[0, {"1" * 400}]'), 'a time is inf, expected finite times'),
+        (LISTS.format(times=f'[0, {"1" * 400}]'), 'one of the times is inf, expected finite'),
         (LISTS.format(times='[0, 2026-11-22]'), "times: could not convert .*'2026-11-22'"),
         (LISTS.format(times='[0, 2026-11-22 10:00:00]'), 'times: could not convert'),
         (LISTS.format(times='[0, !!python/object:os.system x]'), "could not convert .*'x'"),
         (LISTS.format(times='[0, !!binary aGk=]'), 'times: could not convert'),
         (LISTS.format(times='!!set {a, b}'), 'no list of times'),
-        (POINTS.format(time='{sec: ' + '1' * 400 + '}'), 'a time is inf'),
+        (POINTS.format(time='{sec: ' + '1' * 400 + '}'), 'one of the times is inf'),
         (POINTS.format(time='2026-11-22'), "time_from_start of point 0 is '2026-11-22'"),
         (POINTS.format(time='{sec: [1]}'), 'time_from_start of point 0 is'),
         (POINTS.format(time='!!float x'), "time_from_start of point 0 is 'x'"),
@@ -97,7 +97,7 @@ def test_times_of_a_clock_count_from_the_first_point(name, here, capsys):
         )
         assert main(['effort', str(STANFORD), name, '--no-picture']) == 0
         reports.append(capsys.readouterr().out)
-    assert 'times start at the first point, which was at 1700000000.250 s' in reports[1]
+    assert 'times are counted from the first point, which was at 1700000000.250 s' in reports[1]
     assert 'in 0.25 s' in reports[0]
     assert 'in 0.25 s' in reports[1]
     written = np.genfromtxt(here / 'move_efforts.csv', delimiter=',', names=True)
@@ -130,7 +130,7 @@ def test_a_short_recording_is_one_line(seconds, rate, options, here, capsys):
     assert main(['identify', str(STANFORD), 'run.csv', '--no-picture', *options]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1
-    assert 'expected at least 3 s' in error or 'too short to differentiate' in error
+    assert 'expected at least 3 s' in error or 'too short to be differentiated' in error
 
 
 def write_recording(path, seconds, rate):

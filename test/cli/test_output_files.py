@@ -78,7 +78,7 @@ def test_an_input_is_never_replaced(command, option, here, capsys):
             arguments = [*command.split(), option, name, '--force']
             assert main(arguments) == 2
             error = capsys.readouterr().err
-            assert error.startswith(f'inverse_dynamics: {option} {name}: is the input {file}')
+            assert error.startswith(f'inverse_dynamics: {option} {name} is the input {file}')
             assert error.count('\n') == 1
         assert contents(here) == before
         for name in names[:2]:
@@ -98,7 +98,7 @@ def test_standard_input_is_not_replaced(here):
             timeout=300,
         )
     assert result.returncode == 2
-    assert '--poses arm.urdf: is the input -, which is never replaced' in result.stderr
+    assert '--poses arm.urdf is the input -, which is never replaced' in result.stderr
     assert contents(here) == before
 
 
@@ -106,7 +106,7 @@ def test_two_outputs_with_one_name_are_refused(here, capsys):
     (here / 'same.json').symlink_to('same.urdf')
     options = ['--output', 'same.urdf', '--json', 'same.json']
     assert main(['identify', 'arm.urdf', 'move.csv', *options]) == 2
-    assert '--json same.json: is also the output of --output' in capsys.readouterr().err
+    assert '--json same.json is also the output of --output' in capsys.readouterr().err
     assert main(['effort', 'arm.urdf', 'move.csv', '--csv', 'move_efforts.png']) == 2
     assert main(['excite', 'arm.urdf', '--csv', 'arm_excite_start.yaml']) == 2
 
@@ -129,7 +129,7 @@ def test_files_of_the_user_are_not_replaced(command, name, here, capsys):
     before = contents(here)
     assert main(command.split()) == 2
     error = capsys.readouterr().err
-    assert f' {name}: already exists' in error
+    assert f' {name} already exists' in error
     assert '--force' in error
     assert contents(here) == before
 

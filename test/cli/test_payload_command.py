@@ -93,10 +93,10 @@ def test_efforts_without_gravity_need_an_empty_run(here, capsys):
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ('loaded.csv', '--record loaded.csv: already exists'),
+        ('loaded.csv', '--record loaded.csv already exists'),
         ('loaded.csv --force --empty loaded.csv', 'is the input loaded.csv, which is never'),
-        ('loaded.mcap', 'loaded.mcap: expected the name of a .csv file'),
-        ('nowhere/loaded.csv', "nowhere/loaded.csv: folder 'nowhere' does not exist"),
+        ('loaded.mcap', "LOADED is 'loaded.mcap', expected a .csv file"),
+        ('nowhere/loaded.csv', "folder 'nowhere' does not exist"),
     ],
 )
 def test_a_recording_needs_a_new_file(arguments, words, here, capsys):

@@ -29,7 +29,7 @@ def drawn(monkeypatch):
         path.touch()
         figures.append(figure)
 
-    monkeypatch.setattr(style, 'save', save)
+    monkeypatch.setattr('matplotlib.figure.Figure.savefig', save)
     return figures
 
 
@@ -91,7 +91,7 @@ def test_check_gives_each_joint_a_row_of_its_own_scale(robot, drawn):
     assert_legible(figure)
     title = figure._suptitle.get_text().splitlines()
     assert title[0].startswith(f'{robot.name} (arm.urdf): ')
-    assert title[1].startswith('payload left: ')
+    assert title[1].startswith('largest payload: ')
     rows, ratios, *views = figure.axes
     assert len(rows.get_yticks()) == len(robot.joint_names)
     assert len(views) == (2 if len(robot.joint_names) > 14 else 1)

@@ -48,14 +48,15 @@ def test_every_form_finds_the_file(workspace, given):
         (
             'robots/nope.urdf',
             'robot_description_file: no such file: {here}/robots/nope.urdf '
-            "('robots/nope.urdf', working directory {here})",
+            "(given as 'robots/nope.urdf' in {here})",
         ),
         ('/nowhere.urdf', 'robot_description_file: no such file: /nowhere.urdf'),
-        ('~/nope.urdf', "no such file: {here}/nope.urdf ('~/nope.urdf')"),
-        ('file:///nowhere.urdf', "no such file: /nowhere.urdf ('file:///nowhere.urdf')"),
+        ('~/nope.urdf', "no such file: {here}/nope.urdf (given as '~/nope.urdf')"),
+        ('file:///nowhere.urdf', "no such file: /nowhere.urdf (given as 'file:///nowhere.urdf')"),
         (
             'package://my_robot/arm.urdf',
-            "no such file: {here}/install/share/my_robot/arm.urdf ('package://my_robot/arm.urdf')",
+            'no such file: {here}/install/share/my_robot/arm.urdf '
+            "(given as 'package://my_robot/arm.urdf')",
         ),
         (
             'package://your_robot/arm.urdf',
@@ -112,10 +113,10 @@ def test_xacro_files_are_processed_with_their_arguments(workspace, given, tip, m
 def test_problems_of_xacro_files_name_the_file(workspace):
     pytest.importorskip('xacro')
     (workspace / 'arm.xacro').write_text(XACRO.replace('2 *', '2 * nope *'))
-    with pytest.raises(ConfigurationError, match=r"'arm.xacro': xacro: .*nope"):
+    with pytest.raises(ConfigurationError, match=r"'arm.xacro': xacro failed: .*nope"):
         load_file('arm.xacro', 'warn')
     (workspace / 'arm.xacro').write_text(XACRO)
-    with pytest.raises(UrdfError, match=f'output of xacro {workspace}/arm.xacro: .*mass'):
+    with pytest.raises(UrdfError, match=f'output of xacro for {workspace}/arm.xacro: .*mass'):
         load_file('arm.xacro mass:=-1', 'warn')
     with pytest.raises(ConfigurationError, match=f'no such file: {workspace}/your.xacro'):
         load_file('your.xacro mass:=1', 'warn')

@@ -70,7 +70,7 @@ def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, rob
     diagnostics = robot.listen(DiagnosticArray, '/diagnostics')
     robot.publish_state(NAMES, Q, ZERO)
     wait_for_efforts(robot, HOLD)
-    robot.wait_for_text(node, 'on ~/joint_efforts only (dry run): nothing is sent to')
+    robot.wait_for_text(node, 'on ~/joint_efforts only (dry run); nothing is sent to')
     robot.wait_for_text(node, 'dry run: floating: no reference')
 
     def shows_dry_run(array):

@@ -6,8 +6,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
-from inverse_dynamics_node.node.help import PUBLISHED, SUBSCRIBED
 from inverse_dynamics_node.node.parameters import PARAMETERS
+from inverse_dynamics_node.node.policy import PUBLISHED, SUBSCRIBED
 from launch_arguments import ARGUMENTS, FOLDER, LAUNCH, NODE, ros_arguments, SUBSTITUTIONS
 import rclpy
 from rclpy.context import Context
@@ -99,7 +99,7 @@ def test_arguments_take_precedence_over_the_file(run_node, robot, tmp_path, monk
         )
     )
     robot.peer = '/left/inverse_dynamics'
-    robot.wait_for_text(node, f'(dry run): nothing is sent to /left/{topic}')
+    robot.wait_for_text(node, f'(dry run); nothing is sent to /left/{topic}')
     assert robot.get_parameter('dry_run') is True
     assert robot.get_parameter('robot_description_file') == str(urdf)
     assert robot.get_parameter('joints') == ['joint_2', 'joint_1']

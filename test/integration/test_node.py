@@ -100,7 +100,7 @@ def test_bytes_that_are_not_a_joint_state_are_dropped_with_a_message(run_node, r
     robot.state = None
     # The subscription is best effort: a single message may be lost.
     robot._always = [(robot._states, b'\x00\x01\x00\x00' + b'\xff' * 40)]
-    robot.wait_for_text(node, '44 bytes are not a JointState')
+    robot.wait_for_text(node, '44 bytes cannot be read as a JointState')
     robot._always = []
     count = len(robot.commands)
     publish_shuffled_state(robot)
@@ -254,8 +254,8 @@ def test_every_bad_parameter_has_a_line_of_its_own(run_node):
     lines = [line.split('[inverse_dynamics]: ')[1] for line in output]
     assert lines == [
         "parameter 'update_rate' is -1.0, expected 0 to 10000",
-        "parameter 'kp' is 'x', expected a finite number, or a list with one for each commanded "
-        'joint',
+        "parameter 'kp' is 'x', expected a finite number, or a list with one number for each "
+        'commanded joint',
         "parameter 'stop_ramp' is 1000.0, expected 0 to 60",
         "unknown parameter 'effort_limit'; did you mean 'effort_limits'?",
         "unknown parameter 'locked_position.joint_6'; did you mean 'locked_positions.joint_6'?",
@@ -358,7 +358,7 @@ def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robo
         ('kp', [2e9] * 6, 'expected at most 1e+09'),
         ('kp', '1e3', 'commanded joint; YAML reads 1e3 as text, write 1000.0'),
         ('effort_limit', 5.0, "unknown parameter 'effort_limit'; did you mean 'effort_limits'?"),
-        ('locked_positions.hand', 0.0, "hand': it can only be set when the process starts"),
+        ('locked_positions.hand', 0.0, "hand' can only be set when the process starts"),
         ('', 5.0, 'a parameter without a name'),
         ('autostart', False, 'read-only'),
     ):

@@ -82,7 +82,7 @@ def test_the_node_takes_the_payload(run_node, robot, payload, ended, tmp_path):
     mass = report_of(output)['mass']
     assert code == 0
     assert mass == pytest.approx(2.0, rel=0.02)
-    assert f"payload on link 'tool0': {mass:g} kg" in node.output
+    assert f"payload of {mass:g} kg on link 'tool0'" in node.output
 
 
 def hold(robot, efforts):
@@ -112,7 +112,7 @@ def test_joint_states_have_to_contain_efforts(run_node, robot, payload, ended, t
     robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
     code, output = ended(payload('run.csv', '--record', '1', '--node', '/inverse_dynamics'))
     assert code == 1
-    assert 'the joint states on /joint_states have no efforts: let the driver' in output
+    assert 'the joint states on /joint_states have no efforts; let the driver' in output
     assert not [*tmp_path.iterdir()]
 
 
@@ -192,6 +192,6 @@ def test_a_load_is_recorded_measured_and_applied_and_the_arm_follows_again(
     report = report_of(output)
     assert report['mass'] == pytest.approx(0.4, rel=0.05)
     np.testing.assert_allclose(report['com'], [0.02, -0.03, 0.06], atol=0.01)
-    assert f"payload on link 'tool0': {report['mass']:g} kg" in node.output
+    assert f"payload of {report['mass']:g} kg on link 'tool0'" in node.output
     assert unknown > 2.0 * before
     assert known < 0.5 * unknown

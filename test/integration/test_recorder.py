@@ -23,6 +23,13 @@ from std_msgs.msg import Float64MultiArray
 PATIENCE = 120.0  # [s]
 
 
+class CountedRecorder(Recorder):
+    @property
+    def count(self):
+        """Number of messages recorded so far."""
+        return sum(map(len, self._messages.values()))
+
+
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage):
     context = Context()
@@ -31,7 +38,7 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     topics = {'joint_states': JointState, 'commands': Float64MultiArray}
-    recorder = Recorder(node, topics, latched=('commands',))
+    recorder = CountedRecorder(node, topics, latched=('commands',))
     states = node.create_publisher(JointState, 'joint_states', 10)
     commands = node.create_publisher(Float64MultiArray, 'commands', LATCHED)
     received = []

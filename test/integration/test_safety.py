@@ -77,7 +77,7 @@ sys.exit(main.main(sys.argv))
 @pytest.mark.parametrize(
     'where',
     [
-        'inputs.Inputs._on_accelerations',
+        'inputs.Inputs._on_reference',
         'runner.LoopRunner._explain',
         'runner.LoopRunner.step',
         'status_publisher.StatusPublisher._on_timer',
@@ -107,7 +107,7 @@ def test_a_crash_while_joint_states_are_read_leaves_the_stop_ramp(run_node, robo
     trigger.touch()
     assert robot.wait_for_end(node) == 1
     robot.wait_for_command(ZERO, tolerance=0.0)
-    assert 'end of the stop damping: an error in the program' in node.output
+    assert 'stop damping ended: an error in the program' in node.output
     shares = np.array(robot.commands)[:, 2] / HOLD[2]
     assert np.count_nonzero((shares > 0.1) & (shares < 0.9)) > 10
 
@@ -196,7 +196,7 @@ def test_the_log_reports_a_lost_imu_and_its_return(run_node, robot):
     robot.cease(publication)
     robot.wait_for_text(node, 'the motion of the base is unknown: no message on imu for more')
     robot.keep_publishing('imu', measured)
-    robot.wait_for_text(node, 'the motion of the base is measured again')
+    robot.wait_for_text(node, 'the motion of the base is known again')
     robot.wait_for_command(HOLD)
 
 
@@ -236,7 +236,7 @@ def test_only_the_first_point_of_a_reference_is_used(run_node, robot):
     robot.cease(sent)
     message.points = points * 1000
     robot.publish_once('inverse_dynamics/reference', message)
-    robot.wait_for_text(node, 'expected at most 65536: only the first point is used')
+    robot.wait_for_text(node, 'expected at most 65536; only the first point is used')
     robot.wait_for_command(HOLD)
 
 
@@ -262,7 +262,7 @@ def test_another_description_replaces_the_first_without_a_jump(run_node, robot):
     ('text', 'words'),
     [
         ('<robot name="x">', 'kept the old robot description'),
-        ((ROOT / 'test/robots/planar_2r.urdf').read_text(), 'the joints to command are now'),
+        ((ROOT / 'test/robots/planar_2r.urdf').read_text(), 'the commanded joints are now'),
     ],
 )
 def test_a_description_that_cannot_be_used_leaves_the_old_one(run_node, robot, text, words):
@@ -480,7 +480,7 @@ def test_a_payload_is_kept_when_a_description_arrives_while_inactive(run_node, r
     robot.wait_for_command(HOLD)
     body = InertiaStamped(header=Header(frame_id=tip), inertia=Inertia(m=1.5))
     robot.publish_once('inverse_dynamics/payload', body)
-    robot.wait_for_text(node, f"payload on link '{tip}': 1.5 kg")
+    robot.wait_for_text(node, f"payload of 1.5 kg on link '{tip}'")
     assert robot.change_state('deactivate')
     robot.publish_description(heavier(text))
     robot.wait_until(lambda: node.output.count("robot 'stanford'") == 2, 'the new description')

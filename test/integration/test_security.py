@@ -6,8 +6,8 @@ from fnmatch import fnmatchcase
 from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.errors import ConfigurationError
-from inverse_dynamics_node.node.help import enclaves_for
 from inverse_dynamics_node.node.node import InverseDynamicsNode
+from inverse_dynamics_node.node.policy import enclaves
 from inverse_dynamics_node.ros.middleware import check_security
 from inverse_dynamics_node.simulation.drive import PositionDrive
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
@@ -51,7 +51,7 @@ def start(domain_id):
 def test_the_policy_covers_exactly_the_names_of_the_node(name, start):
     arguments = ['--ros-args', *CONFIGURATIONS[name]]
     node = start(arguments)
-    enclave, *_ = enclaves_for(arguments)
+    enclave, *_ = enclaves(arguments)
     assert enclave.path == node.get_fully_qualified_name()
     for permitted, used in permissions(enclave, node):
         assert sorted(permitted) == sorted(used), 'run `make parameters`'
@@ -86,9 +86,7 @@ def test_the_policy_covers_programs_around_the_node(kind, name, parent, start):
     namespace = ['-r', f'__ns:={parent}'] if parent else []
     commands = f'commands:={parent}/inverse_dynamics/commands'
     node = start(['--ros-args', *namespace, '-r', commands], kind)
-    (enclave,) = (
-        x for x in enclaves_for(['--ros-args', *namespace]) if x.path == f'{parent}/{name}'
-    )
+    (enclave,) = (x for x in enclaves(['--ros-args', *namespace]) if x.path == f'{parent}/{name}')
     for permitted, used in permissions(enclave, node):
         for each in used:
             assert any(fnmatchcase(each, pattern) for pattern in permitted), each
@@ -96,7 +94,7 @@ def test_the_policy_covers_programs_around_the_node(kind, name, parent, start):
 
 
 def test_the_configurations_differ(start):
-    names = [enclaves_for(['--ros-args', *x])[0] for x in CONFIGURATIONS.values()]
+    names = [enclaves(['--ros-args', *x])[0] for x in CONFIGURATIONS.values()]
     assert '/diagnostics' in names[0].publish
     assert {'/left/states', '/base/imu', '/left/arm/load'} < set(names[1].subscribe)
     assert {'/left/controller/commands', '/left/diagnostics'} < set(names[1].publish)

@@ -15,6 +15,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
+from accelerated_robot import AcceleratedRobot
 from geometry_msgs.msg import (
     Inertia,
     InertiaStamped,
@@ -25,7 +26,6 @@ from geometry_msgs.msg import (
 )
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation.drive import PositionDrive
-from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.robot import COMPLAINT_PERIOD, RobotNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -235,7 +235,7 @@ class Arm:
     """A simulated robot whose brakes open after half a second, and a node that commands it."""
 
     def __init__(self, context, has_drive=False):
-        self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
+        self.robot = AcceleratedRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
         self.robot.brakes_on = not has_drive
         drive = PositionDrive(self.robot, False) if has_drive else None
         self.node = RobotNode(self.robot, 0.5, IMU_ORIENTATION, drive, context=context)

@@ -115,7 +115,7 @@ def test_the_motion_is_damped_until_the_arm_is_at_rest(run_node, robot, way, rat
     motion.wait_until_damped()
     motion.rest()
     wait_for_end_of_stop(robot, node, way)
-    assert 'end of the stop damping: the arm is at rest' in node.output
+    assert 'stop damping ended: the arm is at rest' in node.output
 
 
 @pytest.mark.parametrize('way', ['disable', 'SIGTERM'])
@@ -131,7 +131,7 @@ def test_a_fault_leaves_the_ordinary_stop(run_node, robot, way, fault):
         'sign': f'the velocities of {NAMES[0]} contradict its positions',
         'lost': 'the joint states are lost',
     }
-    (found,) = re.findall('end of the stop damping: (.*)', node.output)
+    (found,) = re.findall('stop damping ended: (.*)', node.output)
     assert found.startswith(words[fault]) or (fault == 'sign' and 'contradict' in found)
     # Apart from the begin of the ramp, efforts fall, and the arm is not driven.
     efforts = np.abs(robot.commands[first:])
@@ -147,7 +147,7 @@ def test_a_second_signal_ends_the_damping(run_node, robot):
     node.interrupt()
     assert robot.wait_for_end(node) == 0
     robot.wait_for_command(ZERO, tolerance=0.0)
-    assert 'end of the stop damping' not in node.output
+    assert 'stop damping ended' not in node.output
 
 
 def test_the_damping_ends_after_its_time(run_node, robot):
@@ -156,7 +156,7 @@ def test_the_damping_ends_after_its_time(run_node, robot):
     motion.wait_until_damped()
     assert robot.wait_for_end(node) == 0
     robot.wait_for_command(ZERO, tolerance=0.0)
-    assert 'end of the stop damping: stop_timeout (1 s) has passed' in node.output
+    assert 'stop damping ended: stop_timeout (1 s) has passed' in node.output
 
 
 def test_the_arm_is_held_again_from_the_damping_on(run_node, robot):
@@ -179,7 +179,7 @@ def test_a_node_in_simulated_time_damps_the_motion(run_node, robot):
     motion.wait_until_damped()
     motion.rest()
     wait_for_end_of_stop(robot, node, 'SIGINT')
-    assert 'end of the stop damping: the arm is at rest' in node.output
+    assert 'stop damping ended: the arm is at rest' in node.output
 
 
 def test_launch_cuts_long_damping_short(run_node, robot):
@@ -261,7 +261,7 @@ def test_an_arm_is_parked(domain_id, run_node, robot):
         robot.wait_until(lambda: parking.poll() is not None, 'end of the example')
         output, _ = parking.communicate(PATIENCE)
         assert parking.wait() == 0, output
-        assert 'parked: efforts fall to zero over the ramp' in output
+        assert 'parked: efforts ramp down to zero' in output
         robot.wait_for_text(node, 'ramping efforts down: disabled by ~/enable')
         at = dict(zip(states[-1].name, states[-1].position, strict=True))
     assert (at['arm_2'], at['arm_4']) == pytest.approx((1.2, -0.6), abs=0.2)

@@ -95,7 +95,7 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     assert all(re.match(r'\d\d:\d\d:\d\d /inverse_dynamics', line) for line in lines)
     assert 'dry run' in lines[-1]
     assert 'model and robot agree: ' in lines[-1]
-    assert 'not checked, because the efforts are small: joint_1' in lines[-1]
+    assert 'not checked because of small efforts: joint_1' in lines[-1]
 
     robot.set_parameter('effort_limits', [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     robot.wait_for_text(node, 'effort cut to its limit: joint_2')
@@ -111,7 +111,7 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     last = last_object(output)
     assert (code, last['exit_code'], last['outcome'], last['cause']) == (3, 3, 'differ', 'sign')
     assert last['problem_joints'] == ['joint_3']
-    assert last['sentence'].startswith('joint_3 has its sign swapped; ')
+    assert last['sentence'].startswith('joint_3 reports efforts with the wrong sign; ')
     assert '; do not go live. Change the sign in the driver' in last['sentence']
     assert last['status']['dry_run'] is True
     assert last['status']['mode'] == 'inverse_dynamics'

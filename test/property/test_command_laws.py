@@ -7,12 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
-from inverse_dynamics_node.control.joint_states import State
-from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
 from robot_files import ROOT
+from states import Controller, joint_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 Q, QD = np.array([0.4, -0.7]), np.array([0.3, 0.2])
@@ -91,7 +90,7 @@ class Watched:
         """Advance the time, and check the next command."""
         given = elapsed
         self.now += elapsed
-        received = State(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
+        received = joint_state(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
         wanted = np.full(2, 1e308) if given_input == 'absurd' else self.accelerations
         reference = Reference(wanted, np.zeros(2), self.now)
         ours = self.controller
@@ -103,10 +102,10 @@ class Watched:
         assert np.isfinite(efforts).all()
         late = max(0.0, elapsed)
         least = min(late, PERIOD * self.has_started)
-        assert least - ROUNDING <= ours.ramp_step <= min(late, self.most) + ROUNDING
+        assert least - ROUNDING <= ours.shaper.clock.step <= min(late, self.most) + ROUNDING
         self.has_started = True
         self.most = self.most * GROWTH if late > self.most else self.most
-        elapsed = ours.ramp_step
+        elapsed = ours.shaper.clock.step
         if ours.phase in COMPUTING_PHASES:
             self.check_followed(efforts, elapsed)
             self.was_falling = False
@@ -199,7 +198,7 @@ def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
         watched.step(0.05)
     fresh = Controller(ours.dynamics, (), Settings(**last | {'start_ramp': 0.0}))
     reference = Reference(watched.accelerations, np.zeros(2), 0.0)
-    expected = fresh.step(0.0, State(Q, QD, 0.0), reference).efforts
+    expected = fresh.step(0.0, joint_state(Q, QD, 0.0), reference).efforts
     assert ours.phase in COMPUTING_PHASES
     assert np.allclose(watched.last, expected, rtol=0.0, atol=ROUNDING)
     assert (np.abs(watched.last) <= ours.limits).all()

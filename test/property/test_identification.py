@@ -32,7 +32,7 @@ from inverse_dynamics_node.analysis.identification.result import (
 from inverse_dynamics_node.analysis.recordings.signals import Motion
 from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
-from inverse_dynamics_node.node.configure import build_loop
+from inverse_dynamics_node.node.configure import make_loop
 from inverse_dynamics_node.node.parameters import Configuration, PARAMETERS
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
@@ -79,7 +79,7 @@ def test_the_calibrated_urdf_has_the_fitted_efforts(stanford):
 def normalized_errors(result, real):
     """Return the errors of the base parameters, divided by their standard errors."""
     free = identified_bodies(result.robot, ())
-    joints = np.arange(len(result.joints))
+    joints = list(range(len(result.joints)))
     problem = IdentificationProblem(free, joints, np.array(STANDARD_GRAVITY), None, False)
     base = base_parameters(problem.at_random_states())
     bodies = zip(real.robot.mass, real.robot.com, real.robot.inertia, strict=True)
@@ -239,7 +239,7 @@ def test_friction_with_the_root_of_the_speed_is_found():
 def test_the_regression_and_the_library_have_the_same_efforts():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(8)
     bodies = identified_bodies(robot)
-    problem = IdentificationProblem(bodies, range(6), np.array(STANDARD_GRAVITY))
+    problem = IdentificationProblem(bodies, list(range(6)), np.array(STANDARD_GRAVITY))
     times, q, qd, qdd = exciting_motion(robot, rng, 4.0, 50.0)
     motion = Motion(times, q, qd, qdd, np.zeros_like(q), 1, 4)  # without smoothing
     joints = rng.uniform(0.2, 2.0, (6, TERMS))
@@ -273,7 +273,7 @@ def check_exported(result, real, motion):
         name: each.check(values.get(name, each.default)) for name, each in PARAMETERS.items()
     }
     configuration = Configuration(**values)
-    loop = build_loop(configuration, load_urdf(calibrated_urdf(result, STANFORD).decode()), '')
+    loop = make_loop(configuration, load_urdf(calibrated_urdf(result, STANFORD).decode()), '')
     offset = np.array(values['effort_offset'])
     tolerance = 1e-9 * np.abs(expected).max()
     of_node = loop.dynamics.efforts(q, qd, qdd) + offset
@@ -289,9 +289,10 @@ def test_joints_that_moved_in_a_fixed_ratio_are_named_and_nothing_is_invented(mo
     result = identify_parameters(robot, [recording])
     assert result.accepted
     assert extras_of(result) == [[]] * 6
-    assert 'joint_5 and joint_6 moved in a fixed ratio' in [text for text, _ in result.warnings]
+    warnings = [text for text, _ in result.warnings]
+    assert 'joint_5 and joint_6 always moved in a fixed ratio' in warnings
     assert result.advice[0] == (
-        'joint_5 and joint_6 moved in a fixed ratio; record a motion in which they move '
+        'joint_5 and joint_6 always moved in a fixed ratio; record a motion in which they move '
         'independently'
     )
     monkeypatch.setattr(regression, 'FIXED_RATIO', 2.0)

@@ -151,5 +151,5 @@ def test_positions_in_degrees_end_the_diagnosis(motion):
     for each in said:
         (fault,) = each.faults
         assert fault.kind is FaultKind.POSITIONS
-        assert 'in degrees, and nothing else can be diagnosed' in headline(fault)
+        assert 'in degrees, so nothing else can be diagnosed' in headline(fault)
     assert said[1].outcome is Outcome.DIFFER

@@ -6,7 +6,7 @@ import pytest
 from random_driver import play
 
 # Without numba everything takes several times as long.
-SEQUENCES = 40 if os.environ.get('NUMBA_DISABLE_JIT') == '1' else 200
+SEQUENCES = 40 if os.environ.get('NUMBA_DISABLE_JIT') == '1' else 100
 
 
 @pytest.mark.parametrize('part', range(4))

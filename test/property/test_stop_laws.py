@@ -3,11 +3,10 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.joint_states import State
-from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Settings
 import numpy as np
 from robot_files import ROOT
+from states import Controller, joint_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/gripper_arm.urdf')
 N = len(ROBOT.joint_names)
@@ -48,7 +47,7 @@ class Stop:
             self.q = self.q + (self.time - self.measured_at) * self.qd
             self.measured = self.qd + self.noise * self.random.standard_normal(N)
             self.measured_at = self.time
-        state = State(self.q, self.measured, self.measured_at)
+        state = joint_state(self.q, self.measured, self.measured_at)
         return self.controller.step(self.time, state, None).efforts.copy()
 
     def check(self, periods):

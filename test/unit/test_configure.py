@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from inverse_dynamics_node import ConfigurationError, load_urdf
-from inverse_dynamics_node.node.configure import build_loop, check_configuration
+from inverse_dynamics_node.node.configure import check_configuration, make_loop
 from inverse_dynamics_node.node.parameters import Configuration, PARAMETERS
 import pytest
 from robot_files import STANFORD
@@ -15,7 +15,7 @@ def test_a_continuous_joint_has_no_spring_whose_effort_would_jump_after_a_turn()
     urdf = STANFORD.read_text().replace('type="revolute"', 'type="continuous"', 1)
     robot = load_urdf(urdf)
     (joint,) = (i for i, is_continuous in enumerate(robot.is_continuous) if is_continuous)
-    loop = build_loop(DEFAULTS, robot, urdf)
+    loop = make_loop(DEFAULTS, robot, urdf)
     springs = tuple(0.0 if i == joint else 5.0 for i in range(6))
     for given in (springs, 0.0):
         check_configuration(loop, replace(DEFAULTS, spring_stiffness=given))
@@ -24,4 +24,4 @@ def test_a_continuous_joint_has_no_spring_whose_effort_would_jump_after_a_turn()
     with pytest.raises(ConfigurationError, match=words):
         check_configuration(loop, impossible)
     with pytest.raises(ConfigurationError, match=words):
-        build_loop(impossible, robot, urdf)
+        make_loop(impossible, robot, urdf)

@@ -13,10 +13,12 @@ from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import LoadSettings, MeasuredGravity, Mode, Settings
+from inverse_dynamics_node.control.status_text import describe_implausible
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
+from states import store_state
 
 MODEL = load_urdf(STANFORD)
 NAMES = MODEL.joint_names
@@ -26,7 +28,7 @@ AT_ONCE = Settings(start_ramp=0.0)
 
 
 def report_all(loop, now=0.0):
-    loop.collector.update(now, loop.robot.joint_names, Q, np.zeros(6))
+    store_state(loop.collector, now, loop.robot.joint_names, Q, np.zeros(6))
     return loop
 
 
@@ -34,7 +36,7 @@ def test_a_payload_affects_the_next_command():
     loop = report_all(ControlLoop(MODEL, settings=AT_ONCE, period=0.5))
     loop.step(0.0)
     loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
-    loop.collector.update(0.5, NAMES, Q, np.zeros(6))
+    store_state(loop.collector, 0.5, NAMES, Q, np.zeros(6))
     expected = InverseDynamics(MODEL)
     expected.set_payload(TIP, 2.0)
     assert loop.step(0.5).efforts == pytest.approx(expected.gravity_efforts(Q))
@@ -66,7 +68,7 @@ def test_a_dry_run_ends_what_is_sent_and_its_end_lets_it_rise_from_zero():
     assert sent[24] == pytest.approx(0.5 * hold)
     assert not loop.dry_run.has_sent
     assert sent[-1] is None
-    assert loop.controller.gain == 1.0  # the computed efforts go on
+    assert loop.controller.shaper.gain == 1.0  # the computed efforts go on
     loop.controller.stop()
     step(210)
     assert loop.switch_dry_run(is_wanted=False)
@@ -83,9 +85,10 @@ def test_a_dry_run_continues_with_another_description():
     loop.start(is_dry_run=True)
     assert loop.step(0.0).sent is None
     other = ControlLoop(MODEL, settings=AT_ONCE)
-    other.continue_from(loop)
+    other.continue_from(loop, is_active=True)
     assert other.step(0.01).sent is None
-    assert other.dry_run.may_end
+    assert other.dry_run.is_active
+    assert not other.dry_run.has_effort
 
 
 def test_terms_belong_to_the_commanded_joints_and_the_reference():
@@ -121,13 +124,13 @@ def test_another_description_continues_from_the_last_command():
     for now in np.arange(0.0, 1.0, 0.05):
         report_all(loop, now)
         loop.step(now)
-    last = loop.controller.step(now, loop.collector.state(), None).efforts.copy()
+    last = loop.step(now).efforts.copy()
     loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     text = STANFORD.read_text().replace('"joint_6"', '"wrist"')
-    with pytest.raises(ConfigurationError, match='joints to command are now'):
-        ControlLoop(load_urdf(text)).continue_from(loop)
+    with pytest.raises(ConfigurationError, match='the commanded joints are now'):
+        ControlLoop(load_urdf(text)).continue_from(loop, is_active=True)
     other = ControlLoop(MODEL)
-    assert other.continue_from(loop) == []
+    assert other.continue_from(loop, is_active=True) == []
     assert other.collector.missing() == []
     assert other.loads.payloads[TIP].mass == 2.0
     assert other.step(now).efforts == pytest.approx(last)
@@ -138,7 +141,7 @@ def test_a_payload_on_a_link_that_no_longer_exists_is_reported():
     loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
     other = ControlLoop(load_urdf(text))
-    assert other.continue_from(loop) == [TIP]
+    assert other.continue_from(loop, is_active=True) == [TIP]
     assert other.loads.payloads == {}
 
 
@@ -161,7 +164,7 @@ def test_base_wrench_is_about_the_base_link():
     robot = load_urdf(text.replace('</robot>', extra))
     plain, turned = ControlLoop(robot), ControlLoop(robot, base_link='mount')
     for loop in (plain, turned):
-        loop.collector.update(0.0, robot.joint_names, [0.4], [0.0])
+        store_state(loop.collector, 0.0, robot.joint_names, [0.4], [0.0])
         loop.step(0.0)
     (force, moment), (other_force, other_moment) = plain.base_wrench(), turned.base_wrench()
     assert other_force == pytest.approx([force[1], -force[0], force[2]])
@@ -182,18 +185,18 @@ def test_efforts_ramp_down_until_a_joint_that_is_new_in_the_description_is_repor
     other = ControlLoop(
         load_urdf(STANFORD.read_text().replace('</robot>', extra)), joints, AT_ONCE
     )
-    assert other.continue_from(loop) == []
+    assert other.continue_from(loop, is_active=True) == []
     report_all(loop, 0.01)
     commands = []
     for now in np.arange(0.01, 0.7, 0.01):
-        other.collector.update(now, NAMES, Q, np.zeros(6))
+        store_state(other.collector, now, NAMES, Q, np.zeros(6))
         commands.append(np.abs(other.step(now).efforts))
     assert other.controller.phase is Phase.STATE_LOST
     assert (np.diff([before, *commands], axis=0) <= 0.0).all()
     assert commands[0] == pytest.approx(before)
     assert commands[1] == pytest.approx(0.98 * before)
     assert not commands[-1].any()
-    other.collector.update(now, ['jaw'], [0.0], [0.0])
+    store_state(other.collector, now, ['jaw'], [0.0], [0.0])
     assert other.step(now).efforts[1] != 0.0
 
 
@@ -204,7 +207,7 @@ def test_inputs_are_kept_for_a_description_with_other_joints():
     for now in (0.0, 9.0, 18.0):
         loop.loads.update(now, 9.0)
     other = ControlLoop(MODEL, NAMES[:2])
-    assert other.copy_inputs_from(loop) == []
+    assert other.continue_from(loop, is_active=False) == []
     assert other.loads.payloads[TIP].mass == 2.0
     assert other.loads.gravity == pytest.approx([0.0, 3.0, 0.0])
     assert other.missing() == []
@@ -216,7 +219,7 @@ def test_the_first_report_of_a_locked_joint_does_not_cause_a_jump():
     names = [NAMES[k] for k in others]
     loop = ControlLoop(MODEL, names, Settings(start_ramp=0.5), locked={NAMES[2]: 0.2})
     for now in np.arange(0.0, 1.0, 0.05):
-        loop.collector.update(now, names, Q[others], np.zeros(5))
+        store_state(loop.collector, now, names, Q[others], np.zeros(5))
         last = loop.step(now).efforts.copy()
     report_all(loop, now)
     assert loop.step(now).efforts == pytest.approx(last)
@@ -232,9 +235,9 @@ def step_with_slow_joint(loop, period, seconds, velocity=0.0, start=0.0):
     """Step at 100 Hz with states of five joints, and one of the last joint every period."""
     efforts, last = [], -math.inf
     for now in start + np.arange(0.0, seconds, 0.01):
-        loop.collector.update(now, NAMES[:5], Q[:5], np.zeros(5))
+        store_state(loop.collector, now, NAMES[:5], Q[:5], np.zeros(5))
         if now - last >= period - 1e-6:
-            loop.collector.update(now, NAMES[5:], Q[5:], [velocity])
+            store_state(loop.collector, now, NAMES[5:], Q[5:], [velocity])
             last = now
         command = loop.step(now)
         efforts.append(command.efforts.copy())
@@ -254,7 +257,7 @@ def test_a_late_joint_that_is_not_commanded_is_named():
         MODEL, NAMES[:4], Settings(uncommanded_state_timeout=0.5), locked={NAMES[4]: 0.1}
     )
     report_all(loop)
-    loop.collector.update(0.6, NAMES[:4], Q[:4], np.zeros(4))
+    store_state(loop.collector, 0.6, NAMES[:4], Q[:4], np.zeros(4))
     assert loop.step(0.6) is not None
     assert loop.collector.late(0.6, 0.5) == {NAMES[5]: 0.6}
     assert loop.collector.late_count == 1
@@ -274,41 +277,41 @@ def test_a_late_joint_keeps_its_position_but_not_its_velocity(locked, cutoff):
     # A fast wrist causes Coriolis efforts at the other joints.
     for k in range(5):
         step_with_slow_joint(loop, 1e9, 0.11, 30.0, 0.1 * k)
-    moving = loop.controller.motion[0][5]
+    moving = loop.controller.law.motion[0][5]
     assert moving > 10.0
-    loop.collector.update(0.8, NAMES[:5], Q[:5], np.zeros(5))
+    store_state(loop.collector, 0.8, NAMES[:5], Q[:5], np.zeros(5))
     loop.step(0.8)
-    assert loop.controller.motion[0][5] == moving
-    loop.collector.update(1.1, NAMES[:5], Q[:5], np.zeros(5))
+    assert loop.controller.law.motion[0][5] == moving
+    store_state(loop.collector, 1.1, NAMES[:5], Q[:5], np.zeros(5))
     efforts = loop.step(1.1).efforts
-    assert loop.controller.motion[0][5] == 0.0
+    assert loop.controller.law.motion[0][5] == 0.0
     assert efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q)[:5])
-    loop.collector.update(1.2, NAMES[5:], Q[5:], [2.0])
+    store_state(loop.collector, 1.2, NAMES[5:], Q[5:], [2.0])
     loop.step(1.2)
-    assert loop.controller.motion[0][5] == 2.0
+    assert loop.controller.law.motion[0][5] == 2.0
 
 
 def test_a_late_joint_that_has_moved_does_not_cause_a_jump():
     loop = ControlLoop(MODEL, NAMES[:5], Settings(start_ramp=0.5))
     last = step_with_slow_joint(loop, 1e9, 2.0)[-1].copy()
-    loop.collector.update(2.0, NAMES[5:], Q[5:] + 2.0, [0.0])
-    loop.collector.update(2.0, NAMES[:5], Q[:5], np.zeros(5))
+    store_state(loop.collector, 2.0, NAMES[5:], Q[5:] + 2.0, [0.0])
+    store_state(loop.collector, 2.0, NAMES[:5], Q[:5], np.zeros(5))
     assert loop.step(2.0).efforts == pytest.approx(last)
 
 
 def test_the_first_command_needs_a_slow_joint_once():
     loop = ControlLoop(MODEL, NAMES[:5], AT_ONCE)
-    loop.collector.update(0.0, NAMES[:5], Q[:5], np.zeros(5))
+    store_state(loop.collector, 0.0, NAMES[:5], Q[:5], np.zeros(5))
     assert loop.step(0.0) is None
     assert loop.collector.late(0.0, 1.0) == {}
-    loop.collector.update(0.0, NAMES[5:], Q[5:], [0.0])
+    store_state(loop.collector, 0.0, NAMES[5:], Q[5:], [0.0])
     assert loop.step(0.0) is not None
 
 
 def test_a_misnamed_joint_is_mentioned():
     loop = ControlLoop(MODEL)
     names = [name.replace('joint_', 'joint') for name in NAMES[:1]] + list(NAMES[1:])
-    loop.collector.update(0.0, names, Q, np.zeros(6))
+    store_state(loop.collector, 0.0, names, Q, np.zeros(6))
     text = f"the position of {NAMES[0]} on joint_states (received similar names: '{names[0]}')"
     assert loop.missing() == [text]
 
@@ -316,9 +319,9 @@ def test_a_misnamed_joint_is_mentioned():
 def test_positions_of_joints_that_were_never_reported_are_not_judged():
     loop = ControlLoop(MODEL, NAMES[:5], locked={NAMES[5]: 500.0})
     bounded = next(k for k in range(5) if np.isfinite(MODEL.upper[k]))
-    assert [finding.joint for finding in loop.implausible_positions()] in ([], [NAMES[5]])
-    loop.collector.update(0.0, [NAMES[bounded]], [1000.0], [0.0])
-    assert NAMES[bounded] in [finding.joint for finding in loop.implausible_positions()]
+    assert list(describe_implausible(loop)) in ([], [NAMES[5]])
+    store_state(loop.collector, 0.0, [NAMES[bounded]], [1000.0], [0.0])
+    assert NAMES[bounded] in describe_implausible(loop)
 
 
 def step_with_two_publishers(loop, start, seconds, joint, offset, rate=200.0):
@@ -327,7 +330,7 @@ def step_with_two_publishers(loop, start, seconds, joint, offset, rate=200.0):
     other = Q.copy()
     other[joint] += offset
     for k, now in enumerate(start + np.arange(0.0, seconds, 1.0 / rate)):
-        loop.collector.update(now, NAMES, other if k % 2 else Q, np.zeros(6))
+        store_state(loop.collector, now, NAMES, other if k % 2 else Q, np.zeros(6))
         efforts.append(loop.step(now).efforts.copy())
     return np.array(efforts)
 
@@ -369,7 +372,7 @@ def test_contradictory_positions_are_remembered_for_another_description():
     loop = ControlLoop(MODEL)
     step_with_two_publishers(loop, 0.0, 1.0, 1, 0.7)
     other = ControlLoop(MODEL)
-    other.continue_from(loop)
+    other.continue_from(loop, is_active=True)
     assert not other.collector.is_consistent
     other.step(1.0)
     assert other.controller.phase is Phase.STATE_LOST
@@ -393,7 +396,7 @@ def test_ramps_advance_at_the_period_of_a_slow_loop():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0), period=0.5)
     for now in (0.0, 0.5, 1.0):
         report_all(loop, now).step(now)
-    assert loop.controller.gain == pytest.approx(0.5)
+    assert loop.controller.shaper.gain == pytest.approx(0.5)
 
 
 def test_the_ramp_of_loads_can_be_set():
@@ -409,11 +412,11 @@ def test_the_ramp_of_loads_can_be_set():
 def test_external_efforts_are_measured_minus_modelled_efforts():
     loop = ControlLoop(MODEL)
     hold, push = InverseDynamics(MODEL).gravity_efforts(Q), np.arange(6.0)
-    loop.collector.update(0.0, NAMES, Q, np.zeros(6), hold + push)
+    store_state(loop.collector, 0.0, NAMES, Q, np.zeros(6), hold + push)
     assert loop.external_efforts() == pytest.approx(push)
     time_constant = 1.0 / (2.0 * math.pi * 10.0)
     qd = np.full(6, 0.01)
-    loop.collector.update(time_constant, NAMES, Q, qd, hold)
+    store_state(loop.collector, time_constant, NAMES, Q, qd, hold)
     found, alike = loop.external_efforts(), ExternalEffortEstimator(InverseDynamics(MODEL))
     alike.update(0.0, Q, np.zeros(6), hold + push)
     assert found == pytest.approx(alike.update(time_constant, Q, qd, hold))
@@ -427,7 +430,7 @@ def external_efforts_of(contained, measured_gravity, include_gravity, scale=1.0)
     loop.loads.set_gravity((1.0, 0.0, -9.6))
     loop.measured_gravity = measured_gravity
     loop.external_effort_estimator.scale[:] = scale
-    loop.collector.update(0.0, NAMES, Q, np.zeros(6), contained / scale)
+    store_state(loop.collector, 0.0, NAMES, Q, np.zeros(6), contained / scale)
     command = loop.step(0.0).efforts.copy()
     found = loop.external_efforts()
     assert loop.step(0.0).efforts == pytest.approx(command)
@@ -484,14 +487,14 @@ def test_the_reference_is_followed_with_another_description():
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
     efforts = loop.step(0.0).efforts
     other = ControlLoop(MODEL, settings=AT_ONCE)
-    other.continue_from(loop)
+    other.continue_from(loop, is_active=True)
     assert other.step(0.0).efforts == pytest.approx(efforts)
     assert other.controller.phase is Phase.RUNNING
 
 
 def test_missing_joints_are_listed():
     loop = ControlLoop(MODEL)
-    loop.collector.update(0.0, NAMES[2:], Q[2:], np.zeros(4))
+    store_state(loop.collector, 0.0, NAMES[2:], Q[2:], np.zeros(4))
     missing = f'the positions of {NAMES[0]}, {NAMES[1]} on joint_states'
     assert loop.missing() == [missing]
 
@@ -504,7 +507,7 @@ def test_old_and_contradictory_joint_states_are_listed_as_missing():
     ]
     for k in range(200):
         q = [1.5 * (k % 2), *Q[1:]]
-        loop.collector.update(0.005 * k, NAMES, q, np.zeros(6))
+        store_state(loop.collector, 0.005 * k, NAMES, q, np.zeros(6))
     assert loop.missing(now=1.0) == [f'consistent positions of {NAMES[0]} on joint_states']
 
 
@@ -513,7 +516,7 @@ def test_states_without_velocities_are_used_again_before_the_state_is_lost():
     for k in range(1, 200):
         now = 0.01 * k
         with contextlib.suppress(JointStateError):
-            loop.collector.update(now, NAMES, Q, [])
+            store_state(loop.collector, now, NAMES, Q, [])
         assert loop.step(now).efforts.any()
         assert loop.controller.phase is Phase.FLOATING
     assert loop.collector.lost_velocities == list(NAMES)
@@ -528,7 +531,7 @@ def test_base_wrench_carries_the_weight_of_all_links():
     robot = load_urdf(ROOT / 'test/robots/massive_root.urdf')
     loop, n = ControlLoop(robot), len(robot.joint_names)
     q = np.linspace(0.2, 0.4, n)
-    loop.collector.update(0.0, robot.joint_names, q, np.zeros(n))
+    store_state(loop.collector, 0.0, robot.joint_names, q, np.zeros(n))
     loop.step(0.0)
     wrenches = InverseDynamics(robot).joint_wrenches(q, np.zeros(n), np.zeros(n))
     force, moment = loop.base_wrench()
@@ -542,9 +545,9 @@ def test_a_gap_in_a_loop_without_a_period_advances_the_ramps_by_one_nominal_step
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0))
     for now in (0.0, 0.5):
         report_all(loop, now).step(now)
-    assert loop.controller.gain == 0.0  # a blend begins
+    assert loop.controller.shaper.gain == 0.0  # a blend begins
     report_all(loop, 1.0).step(1.0)
-    assert loop.controller.gain == pytest.approx(1.25 * 0.01 / 2.0)
+    assert loop.controller.shaper.gain == pytest.approx(1.25 * 0.01 / 2.0)
 
 
 ARM = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
@@ -563,7 +566,7 @@ def held(**arguments):
 
 
 def report_arm(loop, now, q=LEVEL):
-    loop.collector.update(now, ARM.joint_names, q, np.zeros(7))
+    store_state(loop.collector, now, ARM.joint_names, q, np.zeros(7))
 
 
 def play_arm(loop, now, seconds, q=LEVEL, period=0.005):

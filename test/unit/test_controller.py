@@ -4,13 +4,12 @@ import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
-from inverse_dynamics_node.control.joint_states import State
-from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.supervision import Phase
+from inverse_dynamics_node.control.supervision import Phase, recovery_time
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES
+from states import Controller, joint_state
 
 # Two point-like masses on two sliding joints, one above the other: efforts are sums of weights.
 LIFT = """
@@ -35,7 +34,7 @@ def controller(joints=(), period=0.1, **settings):
 
 
 def state(time):
-    return State(np.zeros(2), np.zeros(2), time)
+    return joint_state(np.zeros(2), np.zeros(2), time)
 
 
 def reference(time, accelerations, efforts=(0.0, 0.0)):
@@ -181,7 +180,7 @@ def test_a_loss_ends_after_states_without_a_gap_for_twice_the_timeout():
     ):
         lift.step(now, state(last), None)
         assert (lift.phase is Phase.FLOATING) == is_well, now
-    assert lift.recovery_time == 1.0
+    assert recovery_time(lift.settings.state_timeout) == 1.0
 
 
 @pytest.mark.parametrize('policy', StalePolicy)
@@ -272,7 +271,7 @@ def test_same_inputs_give_the_same_commands():
     [
         (
             ['low', 'middle'],
-            "'middle', expected movable joints of robot 'lift' except mimic joints: low, high",
+            "'middle', expected only movable joints of robot 'lift' that mimic no other joint",
         ),
         (['low', 'low'], 'lists a joint twice: low, low'),
     ],
@@ -310,7 +309,7 @@ def test_inverse_dynamics_ignores_position_errors():
 def test_gravity_compensation_ignores_reference_and_velocity():
     lift = controller(mode=Mode.GRAVITY_COMPENSATION)
     lift.dynamics.set_armature(1.0)
-    moving = State(np.zeros(2), np.ones(2), 0.0)
+    moving = joint_state(np.zeros(2), np.ones(2), 0.0)
     assert lift.step(0.0, moving, tracking(0.0, [0.3, 0.3])).efforts == pytest.approx(HOLD)
 
 
@@ -539,18 +538,18 @@ def test_steps_that_are_always_late_still_end_the_stop_ramp():
 def test_the_time_to_fall_is_what_is_left_of_a_stop_ramp():
     lift = controller(stop_ramp=0.5)
     lift.step(0.0, state(0.0), None)
-    assert lift.time_to_fall == 0.5
+    assert lift.shaper.time_to_fall == 0.5
     lift.stop()
     for now, left in ((0.1, 0.5), (0.2, 0.4), (0.25, 0.35), (0.9, 0.25)):
         lift.step(now, state(now), None)
-        assert lift.time_to_fall == pytest.approx(left)
+        assert lift.shaper.time_to_fall == pytest.approx(left)
     lift.apply(Settings(start_ramp=0.0, stop_ramp=9.0))
     for now in (1.0, 1.1, 1.2, 1.3):
         lift.step(now, state(now), None)
-    assert lift.time_to_fall == 0.0
+    assert lift.shaper.time_to_fall == 0.0
     lift.resume()
     lift.step(1.4, state(1.4), None)
-    assert lift.time_to_fall == 9.0
+    assert lift.shaper.time_to_fall == 9.0
 
 
 def test_efforts_held_since_a_stop_ramp_began_stay_where_they_are():
@@ -571,7 +570,7 @@ def test_the_velocity_filter_uses_the_arrival_times_of_each_joint():
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     for k, time in enumerate(np.arange(0.0, 0.08, 0.002)):
         qd = np.array([0.0, 1.0 if k else 0.0])
-        seldom = State(np.zeros(2), qd, 0.0, np.array([0.0, time]))
+        seldom = joint_state(np.zeros(2), qd, 0.0, np.array([0.0, time]))
         command = lift.step(time, seldom, None)
     assert command.efforts[1] - 10.0 == pytest.approx(1.0, abs=1e-6)
 
@@ -582,7 +581,7 @@ def test_continuous_joints_take_the_shorter_way():
         mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0, use_urdf_effort_limits=False
     )
     turning = Controller(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
-    position = State(np.array([3.1, 0.0]), np.zeros(2), 0.0)
+    position = joint_state(np.array([3.1, 0.0]), np.zeros(2), 0.0)
     command = turning.step(0.0, position, tracking(0.0, [-3.1, 0.0]))
     distance = 2.0 * math.pi - 6.2
     # Two bodies of inertia 1 about one axis: the first joint turns both.
@@ -621,7 +620,7 @@ def test_velocity_filter_starts_with_the_second_state(start):
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     for elapsed, velocity in ((0.0, 0.0), (0.03125, 1.0)):
         now = start + elapsed
-        each = State(np.zeros(2), np.full(2, velocity), now, np.full(2, now))
+        each = joint_state(np.zeros(2), np.full(2, velocity), now, np.full(2, now))
         efforts = lift.step(now, each, None).efforts
     assert efforts - HOLD == pytest.approx(1.0 - math.exp(-2.0 * math.pi * 5.0 * 0.03125))
 
@@ -630,10 +629,10 @@ def test_velocity_filter_smooths_noise_and_follows_change():
     lift = controller(velocity_filter_cutoff=5.0, use_urdf_effort_limits=False)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     times = np.arange(0.0, 1.0, 0.01)
-    noise = [State(np.zeros(2), np.full(2, (-1.0) ** k), t) for k, t in enumerate(times)]
+    noise = [joint_state(np.zeros(2), np.full(2, (-1.0) ** k), t) for k, t in enumerate(times)]
     felt = [lift.step(s.time, s, None).efforts[1] - 10.0 for s in noise]
     assert np.abs(felt[50:]).max() < 0.2
-    steady = [State(np.zeros(2), np.ones(2), t) for t in times + 1.0]
+    steady = [joint_state(np.zeros(2), np.ones(2), t) for t in times + 1.0]
     felt = [lift.step(s.time, s, None).efforts[1] - 10.0 for s in steady]
     assert felt[-1] == pytest.approx(1.0)
     # First order: 63 % of the step after one time constant.
@@ -655,7 +654,7 @@ def settled(lift):
     """Step a controller to the end of its start ramp; return the time."""
     for time in np.arange(0.0, 1.0, 0.05):
         lift.step(time, state(time), None)
-    assert lift.gain == 1.0
+    assert lift.shaper.gain == 1.0
     return time
 
 
@@ -740,7 +739,7 @@ def test_a_new_robot_description_does_not_cause_a_jump():
     other.continue_from(lift)
     assert efforts_after(other, time, 0.05) == pytest.approx(HOLD)
     assert efforts_after(other, time + 0.05, 0.5) == pytest.approx(HOLD + np.array([20.0, 0.0]))
-    with pytest.raises(ConfigurationError, match='joints to command are now high'):
+    with pytest.raises(ConfigurationError, match='the commanded joints are now high'):
         Controller(heavier, ['high']).continue_from(lift)
 
 
@@ -807,14 +806,14 @@ def test_flags_efforts_that_a_rate_limit_slows():
 
 def test_feedback_of_positions_without_velocities_is_damped():
     lift = controller(mode=Mode.COMPUTED_TORQUE, kp=0.0, kd=10.0)
-    moving = State(np.zeros(2), np.array([0.1, 0.0]), 0.0)
+    moving = joint_state(np.zeros(2), np.array([0.1, 0.0]), 0.0)
     positions = Reference(np.zeros(2), np.zeros(2), 0.0, np.zeros(2))
     assert lift.step(0.0, moving, positions).efforts == pytest.approx(HOLD - [3.0, 1.0])
 
 
 def test_a_reference_without_positions_and_velocities_is_not_damped():
     lift = controller(mode=Mode.COMPUTED_TORQUE, kd=10.0)
-    moving = State(np.zeros(2), np.array([0.1, 0.0]), 0.0)
+    moving = joint_state(np.zeros(2), np.array([0.1, 0.0]), 0.0)
     command = lift.step(0.0, moving, reference(0.0, [1.0, 0.0]))
     assert command.efforts == pytest.approx([33.0, 11.0])
 
@@ -823,9 +822,9 @@ def test_the_velocity_filter_recovers_from_absurd_velocities():
     lift = controller(velocity_filter_cutoff=1000.0)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     for now, speed in ((0.0, 1.7e308), (0.01, -1.7e308), (0.02, 0.1), (0.03, 0.1)):
-        lift.step(now, State(np.zeros(2), np.full(2, speed), now), None)
+        lift.step(now, joint_state(np.zeros(2), np.full(2, speed), now), None)
     assert lift.phase is Phase.FLOATING
-    assert lift.step(0.04, State(np.zeros(2), np.full(2, 0.1), 0.04), None).efforts == (
+    assert lift.step(0.04, joint_state(np.zeros(2), np.full(2, 0.1), 0.04), None).efforts == (
         pytest.approx(HOLD + 0.1)
     )
 
@@ -932,9 +931,9 @@ def test_held_efforts_are_not_reported_as_cut():
 def test_a_start_restarts_the_velocity_filter():
     lift = controller(velocity_filter_cutoff=1.0, use_urdf_effort_limits=False)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
-    lift.step(0.0, State(np.zeros(2), np.full(2, 5.0), 0.0), None)
+    lift.step(0.0, joint_state(np.zeros(2), np.full(2, 5.0), 0.0), None)
     lift.start()
-    efforts = lift.step(0.01, State(np.zeros(2), np.full(2, -1.0), 0.01), None).efforts
+    efforts = lift.step(0.01, joint_state(np.zeros(2), np.full(2, -1.0), 0.01), None).efforts
     assert efforts == pytest.approx(HOLD - 1.0)
 
 
@@ -948,7 +947,7 @@ def test_full_turns_of_a_continuous_joint_make_no_difference():
     wheel = load_urdf(LIFT.replace('type="prismatic"', 'type="continuous"').replace('50"', '500"'))
     settings = Settings(mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0)
     turning = Controller(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
-    position = State(np.array([6.0 * math.pi, 0.0]), np.zeros(2), 0.0)
+    position = joint_state(np.array([6.0 * math.pi, 0.0]), np.zeros(2), 0.0)
     command = turning.step(0.0, position, tracking(0.0, [0.1, 0.0]))
     assert command.efforts == pytest.approx([0.2, 0.1])
 
@@ -962,10 +961,10 @@ def test_absurd_references_do_not_print_warnings_in_the_loop():
 
 def test_the_gain_rises_along_the_start_ramp():
     lift = controller(start_ramp=0.5)
-    assert lift.gain == 0.0
+    assert lift.shaper.gain == 0.0
     for now in (0.0, 0.05, 0.1):
         lift.step(now, state(now), None)
-    assert lift.gain == pytest.approx(0.2)
+    assert lift.shaper.gain == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize('policy', StalePolicy)
@@ -994,7 +993,7 @@ def test_efforts_that_change_while_they_are_held_and_then_stopped_are_blended_in
 def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
     lift = controller()
     lift.step(0.0, state(0.0), None)
-    absurd = State(np.array([math.nan, 0.0]), np.zeros(2), 0.01)
+    absurd = joint_state(np.array([math.nan, 0.0]), np.zeros(2), 0.01)
     assert not lift.step(0.01, absurd, None).efforts.any()
     assert lift.phase is Phase.NO_SOLUTION
 
@@ -1004,7 +1003,7 @@ def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
     [
         (state(0.01), [0.0, -1.7e308], {}, "the acceleration of joint 'high' is -1.7e+308"),
         (
-            State(np.array([0.0, math.nan]), np.zeros(2), 0.01),
+            joint_state(np.array([0.0, math.nan]), np.zeros(2), 0.01),
             [0.0, 0.0],
             {},
             "the position of joint 'high' is nan",
@@ -1021,7 +1020,7 @@ def test_the_cause_of_efforts_that_are_not_finite_is_named(received, wanted, set
     lift = controller(**settings)
     lift.step(0.01, received, reference(0.01, wanted))
     assert lift.phase is Phase.NO_SOLUTION
-    assert lift.cause_of_failure() == words
+    assert lift.law.cause_of_failure() == words
 
 
 @pytest.mark.parametrize(
@@ -1036,13 +1035,13 @@ def test_the_cause_of_efforts_that_are_not_finite_is_named(received, wanted, set
 def test_added_efforts_are_part_of_the_cause(efforts, words):
     lift = controller(effort_scale=(1.0, 1e300))
     lift.step(0.01, state(0.01), reference(0.01, [0.0, 0.0], efforts))
-    assert lift.cause_of_failure() == words
+    assert lift.law.cause_of_failure() == words
 
 
 def test_of_several_causes_the_first_is_named():
     lift = controller()
     lift.step(0.01, state(0.01), reference(0.01, [math.inf, 0.0], [math.nan, 0.0]))
-    assert lift.cause_of_failure() == "the acceleration of joint 'low' is inf"
+    assert lift.law.cause_of_failure() == "the acceleration of joint 'low' is inf"
 
 
 def test_added_efforts_without_end_are_no_solution():
@@ -1095,7 +1094,7 @@ def test_the_velocity_filter_starts_anew_after_a_gap():
     )
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     for now, speed in ((0.0, 5.0), (0.01, 5.0), (1.0, -1.0)):
-        efforts = lift.step(now, State(np.zeros(2), np.full(2, speed), now), None).efforts
+        efforts = lift.step(now, joint_state(np.zeros(2), np.full(2, speed), now), None).efforts
     assert efforts == pytest.approx(HOLD - 1.0)
 
 
@@ -1103,7 +1102,7 @@ def test_the_velocity_filter_takes_each_state_once():
     lift = controller(velocity_filter_cutoff=1.0, use_urdf_effort_limits=False)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     lift.step(0.0, state(0.0), None)
-    moving = State(np.zeros(2), np.full(2, 5.0), 0.01)
+    moving = joint_state(np.zeros(2), np.full(2, 5.0), 0.01)
     efforts = lift.step(0.01, moving, None).efforts.copy()
     assert np.abs(efforts - HOLD).max() < 1.0
     assert lift.step(0.02, moving, None).efforts == pytest.approx(efforts)
@@ -1113,7 +1112,7 @@ def test_the_velocity_filter_takes_each_state_once():
 def test_absurd_velocities_do_not_print_warnings_in_the_loop():
     lift = controller(velocity_filter_cutoff=10.0)
     for now, speed in ((0.0, 1.7e308), (0.01, -1.7e308), (0.02, 0.1)):
-        lift.step(now, State(np.zeros(2), np.full(2, speed), now), None)
+        lift.step(now, joint_state(np.zeros(2), np.full(2, speed), now), None)
     assert lift.phase is not Phase.WAITING
 
 

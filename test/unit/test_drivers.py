@@ -8,6 +8,7 @@ import pytest
 from robot_files import ROOT
 
 pytest.importorskip('mujoco')
+from accelerated_robot import AcceleratedRobot
 from inverse_dynamics_node.simulation.drivers import (
     Actuation,
     Command,
@@ -17,7 +18,6 @@ from inverse_dynamics_node.simulation.drivers import (
     read_command,
     TORQUES,
 )
-from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 
 ARM = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 JOINTS = ('shoulder', 'elbow')
@@ -27,7 +27,7 @@ def behind(driver, held=()):
     """Return a robot at rest without brakes, behind a driver."""
     robot = load_urdf(ARM)
     middle = np.clip(0.4, robot.lower + 0.01, robot.upper - 0.01)
-    hardware = MujocoRobot(ARM, robot, middle, friction=False, held=held)
+    hardware = AcceleratedRobot(ARM, robot, middle, friction=False, held=held)
     hardware.brakes_on = False
     return Actuation(hardware, driver), InverseDynamics(robot)
 
@@ -48,7 +48,7 @@ def test_a_driver_that_adds_gravity_holds_the_arm_without_commands(load):
 def test_it_adds_gravity_and_nothing_else():
     actuation, dynamics = behind(DRIVERS['franka_ros2'])
     robot = actuation.robot
-    actuation.command(Command(np.full(len(robot.command_names), 0.5)))
+    actuation.command = Command(np.full(len(robot.command_names), 0.5))
     actuation.act()
     robot.advance(0.05)
     q, qd = robot.positions(), robot.velocities()
@@ -84,8 +84,8 @@ def test_gains_of_the_drives_pull_to_the_commanded_motion():
     q = robot.positions()
     inertia = robot.mass_matrix().diagonal()
     efforts = 0.1 * np.ones(len(q))
-    actuation.command(Command(efforts, q + 0.01, np.full(len(q), 0.02)))
-    plain.command(Command(efforts + inertia * (0.01 * stiffness + 0.02 * damping)))
+    actuation.command = Command(efforts, q + 0.01, np.full(len(q), 0.02))
+    plain.command = Command(efforts + inertia * (0.01 * stiffness + 0.02 * damping))
     for each in (actuation, plain):
         each.act()
     assert robot.state()[2] == pytest.approx(plain.robot.state()[2])
@@ -121,7 +121,7 @@ def test_commands_by_name_come_in_any_order():
         (
             'isaac_sim',
             joint_state(name=['elbow'], effort=[1.0]),
-            'the message has no effort of shoulder',
+            'the message has no effort for shoulder',
         ),
         (
             'openarm',
@@ -131,7 +131,7 @@ def test_commands_by_name_come_in_any_order():
         (
             'openarm',
             joint_state(name=JOINTS, effort=[1.0, 2.0], position=[0.0, 0.0]),
-            'the message has no velocity of shoulder, elbow',
+            'the message has no velocity for shoulder, elbow',
         ),
     ],
 )

@@ -128,7 +128,7 @@ def test_missing_limits_are_assumed_and_reported():
     assert np.isinf(limits.efforts).all()
     notes = ' '.join(limits.notes)
     assert 'joints with a range of more than one turn move within one turn: hinge' in notes
-    assert 'assumed limit of 1 rad/s (prismatic joints: 0.25 m/s)' in notes
+    assert 'a speed limit of 1 rad/s (prismatic joints: 0.25 m/s) is assumed' in notes
     slide = load_urdf(ROBOTS / 'cartesian.urdf')
     assert slide.is_prismatic_joint.any()
     object.__setattr__(slide, 'lower', np.full_like(slide.lower, -np.inf))
@@ -144,7 +144,7 @@ def test_a_range_replaces_the_limits_and_must_be_within_them():
     assert (limits.lower, limits.upper, limits.speeds) == (-0.2, 0.9, 1.0)
     for ranges, words in (
         ({'hinge': (-2.0, 0.5)}, 'is -2 to 0.5 rad, expected a range within the limits -1 to 1'),
-        ({'hinge': (0.5, -0.5)}, 'expected an upper end above the lower end'),
+        ({'hinge': (0.5, -0.5)}, 'expected the upper end above the lower end'),
         ({'hook': (0.0, 1.0)}, "joint 'hook' does not exist; joints are hinge"),
     ):
         with pytest.raises(ConfigurationError, match=words):
@@ -166,7 +166,9 @@ def test_only_chosen_joints_move_and_the_others_stay(brief):
 def test_a_joint_that_carries_a_few_grams_moves_only_if_it_is_named():
     light = load_urdf(PLANAR.read_text().replace('<mass value="2.0"/>', '<mass value="0.01"/>'))
     assert motion_limits(light).joint_names == light.joint_names[:1]
-    assert 'it carries 0.01 kg; use --joints to move it' in motion_limits(light).notes[-1]
+    note = motion_limits(light).notes[-1]
+    assert 'it carries only 0.01 kg' in note
+    assert 'to move a light joint, name it in --joints' in note
     assert motion_limits(light, light.joint_names).joint_names == light.joint_names
     heavy = load_urdf(PLANAR)
     assert motion_limits(heavy).joint_names == heavy.joint_names
@@ -175,13 +177,13 @@ def test_a_joint_that_carries_a_few_grams_moves_only_if_it_is_named():
 def test_a_joint_that_cannot_move_is_named():
     robot = arm('lower="0" upper="0" velocity="2" effort="50"')
     for joints in ([], ['hinge']):
-        with pytest.raises(ConfigurationError, match=r'hinge.*its range is 0 to 0'):
+        with pytest.raises(ConfigurationError, match=r'hinge.*its range is only 0 to 0'):
             motion_limits(robot, joints)
 
 
 def test_drives_that_are_too_weak_are_named():
     robot = arm('lower="-1" upper="1" velocity="2" effort="1"')
-    with pytest.raises(ConfigurationError, match=r"'hinge' needs .* N m or N, but may use 0.8"):
+    with pytest.raises(ConfigurationError, match=r"N m.*'hinge' needs .*, limit 0.8"):
         find_excitation(InverseDynamics(robot), motion_limits(robot))
 
 
@@ -189,7 +191,7 @@ def test_drives_that_are_too_weak_are_named():
     ('options', 'words'),
     [
         ({'harmonics': 1}, 'harmonics is 1, expected at least 2'),
-        ({'duration': 0.0}, 'duration is 0.0, expected a time above 0'),
+        ({'duration': 0.0}, 'duration is 0.0, expected a finite time above 0 s'),
         ({'duration': math.inf}, 'duration is inf'),
     ],
 )

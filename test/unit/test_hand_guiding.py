@@ -4,13 +4,13 @@ from dataclasses import replace
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
-from inverse_dynamics_node.control.joint_states import State
-from inverse_dynamics_node.control.loop import Controller, ControlLoop
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
+from states import Controller, joint_state, store_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 NAMES = ROBOT.joint_names
@@ -28,7 +28,7 @@ def guided(**settings):
 
 
 def moving(time, qd=QD):
-    return State(Q, np.array(qd), time, np.full(2, time))
+    return joint_state(Q, np.array(qd), time, np.full(2, time))
 
 
 def test_a_share_of_the_friction_is_compensated_for_each_joint():
@@ -102,7 +102,7 @@ def test_velocities_that_are_no_longer_reported_end_the_compensation(cutoff):
         with_velocities = k < 100
         velocities = QD if with_velocities else np.full(2, np.nan)
         if with_velocities or k > 110:  # the first ones without are rejected
-            loop.collector.update(now, NAMES, Q, velocities)
+            store_state(loop.collector, now, NAMES, Q, velocities)
         efforts = loop.step(now).efforts.copy()
         if k == 99:
             assert efforts == pytest.approx(HOLD + 0.8 * FRICTION)
@@ -115,7 +115,7 @@ def test_a_late_joint_that_is_not_commanded_no_longer_counts():
     loop.dynamics.set_friction(0.0, 0.0, load_friction=1.0)
 
     def efforts(first, now):
-        loop.collector.update(now, NAMES[first:], Q[first:], [5.0, -0.2][first:])
+        store_state(loop.collector, now, NAMES[first:], Q[first:], [5.0, -0.2][first:])
         return loop.step(now).efforts.copy()
 
     def expected(qd):
@@ -146,7 +146,7 @@ def test_a_live_change_is_blended_while_motion_acts_at_once(change):
 def test_the_terms_show_the_compensated_friction_and_add_up():
     loop = ControlLoop(ROBOT, NAMES[::-1], replace(GUIDED, guiding_damping=1.5))
     loop.dynamics.set_friction(DAMPING, COULOMB)
-    loop.collector.update(0.0, NAMES, Q, QD)
+    store_state(loop.collector, 0.0, NAMES, Q, QD)
     efforts = loop.step(0.0).efforts
     terms = loop.effort_terms()
     assert terms.friction == pytest.approx((0.8 * FRICTION - 1.5 * QD)[::-1])
@@ -166,4 +166,4 @@ def test_absurd_velocities_are_no_solution_and_print_no_warnings():
     arm.step(0.0, moving(0.0), None)
     arm.step(0.01, moving(0.01, [1.7e308, 0.0]), None)
     assert arm.phase is Phase.NO_SOLUTION
-    assert arm.cause_of_failure() == f"the velocity of joint '{NAMES[0]}' is 1.7e+308"
+    assert arm.law.cause_of_failure() == f"the velocity of joint '{NAMES[0]}' is 1.7e+308"

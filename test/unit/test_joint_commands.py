@@ -10,6 +10,7 @@ from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
+from states import store_state
 
 ARM = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 Q, QD = np.array([0.3, -0.2]), np.array([0.1, -0.4])
@@ -28,7 +29,7 @@ class Arm:
     def step(self, q=Q, qd=QD, **reference):
         loop, self.now = self.loop, self.now + PERIOD
         if q is not None:
-            loop.collector.update(self.now, loop.robot.joint_names, q, qd)
+            store_state(loop.collector, self.now, loop.robot.joint_names, q, qd)
         if reference:
             loop.reference = Reference(np.zeros(2), np.zeros(2), self.now, **reference)
         assert loop.step(self.now) is not None
@@ -106,7 +107,7 @@ def test_another_description_does_not_change_what_the_drive_receives():
     arm = Arm()
     before, _ = arm.play(0.2, positions=TARGET, velocities=SPEED)[-1]
     loop = ControlLoop(ARM, settings=arm.loop.controller.settings)
-    loop.continue_from(arm.loop)
+    loop.continue_from(arm.loop, is_active=True)
     arm.loop = loop
     after, _ = arm.step(positions=TARGET, velocities=SPEED)
     assert after == pytest.approx(before, abs=1e-15)
@@ -130,7 +131,7 @@ def test_the_drive_is_at_rest_where_it_is_without_finite_efforts():
     arm = Arm()
     follow(arm)
     arm.now += PERIOD
-    arm.loop.collector.update(arm.now, ARM.joint_names, Q, QD)
+    store_state(arm.loop.collector, arm.now, ARM.joint_names, Q, QD)
     arm.loop.reference = Reference(np.full(2, 1e306), np.zeros(2), arm.now, TARGET, SPEED)
     arm.loop.step(arm.now)
     assert arm.loop.controller.phase is Phase.NO_SOLUTION

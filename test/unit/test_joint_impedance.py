@@ -5,14 +5,14 @@ import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
-from inverse_dynamics_node.control.joint_states import State
-from inverse_dynamics_node.control.loop import Controller, ControlLoop
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status_text import describe_light_joints
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
+from states import Controller, joint_state, store_state
 
 TEXT = (ROOT / 'test/robots/planar_2r.urdf').read_text()
 ROBOT = load_urdf(TEXT)
@@ -38,7 +38,7 @@ def arm(settings=HELD, **changes):
 
 def step(arm, now, q=Q, qd=REST, reference=None, received=None):
     received = now if received is None else received
-    state = State(np.array(q), np.array(qd), received, np.full(2, received))
+    state = joint_state(np.array(q), np.array(qd), received, np.full(2, received))
     return arm.step(now, state, reference).efforts.copy()
 
 
@@ -262,10 +262,10 @@ def test_positions_that_jump_are_held_where_they_are_from_then_on():
     for k in range(300):
         now = 0.01 * k
         q = Q if k < 100 else Q + 0.4 * np.eye(2)[0]
-        loop.collector.update(now, NAMES, q, REST)
+        store_state(loop.collector, now, NAMES, q, REST)
         efforts = loop.step(now).efforts
         assert np.abs(efforts).max() < 1e-9
-    loop.collector.update(3.0, NAMES, q + 0.01 * np.eye(2)[0], REST)
+    store_state(loop.collector, 3.0, NAMES, q + 0.01 * np.eye(2)[0], REST)
     assert loop.step(3.0).efforts == pytest.approx([-0.3, 0.0])
 
 
@@ -274,7 +274,9 @@ def test_a_late_joint_that_is_not_commanded_does_not_move_the_equilibrium():
     for k in range(200):
         is_late = k >= 2
         q = Q if k == 0 else Q + np.array([0.02, 0.0])
-        loop.collector.update(0.01 * k, NAMES[: 1 if is_late else 2], q[: 1 if is_late else 2], [])
+        store_state(
+            loop.collector, 0.01 * k, NAMES[: 1 if is_late else 2], q[: 1 if is_late else 2], []
+        )
         efforts = loop.step(0.01 * k).efforts
     assert loop.collector.late_count == 1
     assert efforts == pytest.approx(DYNAMICS.gravity_efforts(q)[:1] - 30.0 * 0.02)
@@ -335,21 +337,21 @@ def test_an_absurd_reference_is_forgotten():
 def test_the_arrays_of_the_next_joint_state_do_not_move_the_equilibrium():
     loop = ControlLoop(ROBOT, settings=HELD)
     for now, q in ((0.0, Q), (0.01, PUSHED)):
-        loop.collector.update(now, NAMES, q, REST)
+        store_state(loop.collector, now, NAMES, q, REST)
         efforts = loop.step(now).efforts
     assert efforts == pytest.approx(spring(PUSHED))
 
 
 def test_joints_that_are_too_light_for_their_gains_are_described():
     loop = ControlLoop(ROBOT, settings=HELD)
-    loop.collector.update(0.0, NAMES, Q, REST)
+    store_state(loop.collector, 0.0, NAMES, Q, REST)
     assert describe_light_joints(loop) == ''
     inertia = DYNAMICS.mass_matrix(Q)[1, 1]
     loop.controller.apply(replace(HELD, impedance_damping=(0.0, 1.01 * inertia / 0.005)))
     text = describe_light_joints(loop)
     assert text == (
         f'{NAMES[1]} may oscillate: with its inertia ({inertia:.2g}) and a delay of 5 ms, '
-        f'impedance_damping may be at most {inertia / 0.005:.2g} and stiffness at most '
+        f'impedance_damping should be at most {inertia / 0.005:.2g} and stiffness at most '
         f'{inertia / 0.005**2:.2g}; lower these gains, or set armature to the inertia of the rotor'
     )
     for share, is_light in ((0.99, False), (1.01, True)):
@@ -366,11 +368,11 @@ def test_a_leap_of_a_joint_that_is_not_commanded_does_not_move_the_equilibrium()
     settings = replace(HELD, stiffness=30.0, impedance_damping=2.0)
     for joint, moves in ((0, True), (1, False)):
         loop = ControlLoop(ROBOT, NAMES[:1], settings)
-        loop.collector.update(0.0, NAMES, Q, REST)
+        store_state(loop.collector, 0.0, NAMES, Q, REST)
         loop.step(0.0)
         leapt = Q + np.array([0.01, 0.01])
         leapt[joint] += 2.0
-        loop.collector.update(0.005, NAMES, leapt, REST)
+        store_state(loop.collector, 0.005, NAMES, leapt, REST)
         loop.step(0.005)
         held = loop.controller.law.equilibrium
         assert held == pytest.approx(leapt[:1] if moves else Q[:1])

@@ -10,6 +10,7 @@ from inverse_dynamics_node.control.joint_states import JointStateCollector
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError
 import numpy as np
 import pytest
+from states import store_state
 
 NAN = math.nan
 
@@ -21,7 +22,7 @@ def collector():
 
 def test_joints_are_found_by_name_in_any_order_among_others(collector):
     names = ['wheel', 'wrist', 'shoulder', 'elbow']
-    collector.update(1.0, names, [9.0, 3.0, 1.0, 2.0], [8.0, 0.3, 0.1, 0.2])
+    store_state(collector, 1.0, names, [9.0, 3.0, 1.0, 2.0], [8.0, 0.3, 0.1, 0.2])
     state = collector.state()
     assert state.q.tolist() == [1.0, 2.0, 3.0]
     assert state.qd.tolist() == [0.1, 0.2, 0.3]
@@ -29,31 +30,31 @@ def test_joints_are_found_by_name_in_any_order_among_others(collector):
 
 
 def test_there_is_no_state_before_every_joint_was_reported(collector):
-    collector.update(1.0, ['wrist', 'shoulder'], [1.0, 2.0], [])
+    store_state(collector, 1.0, ['wrist', 'shoulder'], [1.0, 2.0], [])
     assert collector.state() is None
     assert collector.missing() == ['elbow']
 
 
 def test_names_that_resemble_the_missing_ones_are_remembered(collector):
-    collector.update(1.0, ['wheel', 'x' * 1000, 'sholder', 'wrist'], [0.0] * 4, [])
+    store_state(collector, 1.0, ['wheel', 'x' * 1000, 'sholder', 'wrist'], [0.0] * 4, [])
     assert collector.similar_names() == ['sholder']
-    collector.update(1.0, ['elbow_joint'], [0.0], [])
+    store_state(collector, 1.0, ['elbow_joint'], [0.0], [])
     assert collector.similar_names() == ['sholder', 'elbow_joint']
-    collector.update(1.0, ['elbow', 'shoulder'], [0.0] * 2, [])
+    store_state(collector, 1.0, ['elbow', 'shoulder'], [0.0] * 2, [])
     assert collector.similar_names() == []
 
 
 def test_a_flood_of_names_is_not_remembered(collector):
     for k in range(1000):
-        collector.update(1.0, [f'sensor{k}'], [0.0], [])
-    collector.update(1.0, ['sholder'], [0.0], [])
+        store_state(collector, 1.0, [f'sensor{k}'], [0.0], [])
+    store_state(collector, 1.0, ['sholder'], [0.0], [])
     assert collector.similar_names() == []
 
 
 def test_a_state_arrives_in_parts_and_is_as_old_as_the_oldest(collector):
-    collector.update(1.0, ['wrist', 'shoulder'], [3.0, 1.0], [])
-    collector.update(2.0, ['elbow'], [2.0], [])
-    collector.update(3.0, ['elbow'], [2.5], [])
+    store_state(collector, 1.0, ['wrist', 'shoulder'], [3.0, 1.0], [])
+    store_state(collector, 2.0, ['elbow'], [2.0], [])
+    store_state(collector, 3.0, ['elbow'], [2.5], [])
     state = collector.state()
     assert state.q.tolist() == [1.0, 2.5, 3.0]
     assert state.time == 1.0
@@ -63,7 +64,7 @@ def test_a_state_arrives_in_parts_and_is_as_old_as_the_oldest(collector):
 
 def test_velocity_that_was_never_measured_is_zero_and_named(collector):
     names = ['shoulder', 'elbow', 'wrist']
-    collector.update(1.0, names, [1.0, 2.0, 3.0], [0.1, NAN, 0.3])
+    store_state(collector, 1.0, names, [1.0, 2.0, 3.0], [0.1, NAN, 0.3])
     assert collector.state().qd.tolist() == [0.1, 0.0, 0.3]
     assert collector.without_velocity() == ['elbow']
 
@@ -72,27 +73,27 @@ def test_velocity_that_was_never_measured_is_zero_and_named(collector):
 def test_a_velocity_that_disappears_is_rejected_at_first_and_then_zero(collector, velocities):
     collector.velocity_timeout = 0.25
     for now in (0.75, 1.0):
-        collector.update(now, ['elbow'], [2.0], [0.2])
-    collector.update(1.0, ['elbow', 'wrist'], [2.0, 3.0], [0.2, 0.3])
+        store_state(collector, now, ['elbow'], [2.0], [0.2])
+    store_state(collector, 1.0, ['elbow', 'wrist'], [2.0, 3.0], [0.2, 0.3])
     for now in (1.0, 1.125, 1.2499):
         with pytest.raises(JointStateError, match="velocity of joint 'elbow' is nan"):
-            collector.update(now, ['elbow'], [2.5], velocities)
+            store_state(collector, now, ['elbow'], [2.5], velocities)
     assert not collector.has_jumped
     assert (collector.lost_velocities, collector.without_velocity()) == ([], [])
     for now in (1.25, 1.26):
-        collector.update(now, ['elbow'], [2.5], velocities)
+        store_state(collector, now, ['elbow'], [2.5], velocities)
         assert collector.lost_velocities == ['elbow']
     assert (collector.q[1], collector.qd[1], collector.times[1]) == (2.5, 0.0, 1.26)
     assert collector.has_jumped
     assert collector.without_velocity() == ['elbow']
     # With another layout, whose messages were complete before.
     collector.lost_velocities, collector.has_jumped = [], False
-    collector.update(1.27, ['elbow', 'wrist'], [2.5, 3.0], [0.1, 0.3])
+    store_state(collector, 1.27, ['elbow', 'wrist'], [2.5, 3.0], [0.1, 0.3])
     assert collector.qd.tolist() == [0.0, 0.1, 0.3]
     assert collector.without_velocity() == []
     assert collector.has_jumped
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is nan"):
-        collector.update(1.28, ['elbow'], [2.5], velocities)
+        store_state(collector, 1.28, ['elbow'], [2.5], velocities)
     assert collector.lost_velocities == []
 
 
@@ -118,14 +119,14 @@ def test_velocities_that_several_publishers_lose_and_regain_are_noticed_every_ti
 
 
 def test_a_velocity_that_is_infinite_is_rejected_after_a_while_too(collector):
-    collector.update(1.0, ['elbow'], [2.0], [0.2])
+    store_state(collector, 1.0, ['elbow'], [2.0], [0.2])
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is inf"):
-        collector.update(9.0, ['elbow'], [2.0], [math.inf])
+        store_state(collector, 9.0, ['elbow'], [2.0], [math.inf])
 
 
 def test_a_velocity_from_before_a_clock_reset_is_not_awaited(collector):
-    collector.update(9.0, ['elbow'], [2.0], [0.2])
-    collector.update(1.0, ['elbow'], [2.5], [])
+    store_state(collector, 9.0, ['elbow'], [2.0], [0.2])
+    store_state(collector, 1.0, ['elbow'], [2.5], [])
     assert collector.q[1] == 2.5
 
 
@@ -142,22 +143,22 @@ def test_a_velocity_from_before_a_clock_reset_is_not_awaited(collector):
 def test_rejects_invalid_states_with_a_reason_and_changes_nothing(
     collector, positions, velocities, words
 ):
-    collector.update(1.0, ['wrist', 'elbow'], [3.0, 2.0], [])
+    store_state(collector, 1.0, ['wrist', 'elbow'], [3.0, 2.0], [])
     with pytest.raises(JointStateError, match=words):
-        collector.update(2.0, ['wrist', 'elbow'], positions, velocities)
+        store_state(collector, 2.0, ['wrist', 'elbow'], positions, velocities)
     assert collector.q.tolist() == [0.0, 2.0, 3.0]
     assert collector.times.tolist() == [-math.inf, 1.0, 1.0]
 
 
 def test_ignores_other_joints_that_are_named_twice(collector):
-    assert collector.update(1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
-    assert not collector.update(1.0, ['wheel'], [1.0], [])
+    assert store_state(collector, 1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
+    assert not store_state(collector, 1.0, ['wheel'], [1.0], [])
     assert collector.missing() == ['shoulder', 'wrist']
 
 
 def test_rejects_a_joint_that_is_named_twice(collector):
     with pytest.raises(JointStateError, match="'elbow' is named twice"):
-        collector.update(1.0, ['elbow', 'elbow'], [1.0, 2.0], [])
+        store_state(collector, 1.0, ['elbow', 'elbow'], [1.0, 2.0], [])
 
 
 @given(
@@ -169,7 +170,7 @@ def test_never_stores_values_that_are_not_finite(names, positions, velocities):
     collector = JointStateCollector(['shoulder', 'elbow', 'wrist'])
     for _ in range(2):
         with contextlib.suppress(JointStateError):
-            collector.update(1.0, names, positions, velocities)
+            store_state(collector, 1.0, names, positions, velocities)
         assert np.isfinite(collector.q).all()
         assert np.isfinite(collector.qd).all()
 
@@ -177,21 +178,21 @@ def test_never_stores_values_that_are_not_finite(names, positions, velocities):
 def test_a_locked_position_is_used_until_the_joint_is_reported():
     collector = JointStateCollector(['arm', 'finger'], {'finger': 0.02})
     assert collector.missing() == ['arm']
-    collector.update(1.0, ['arm'], [0.5], [])
+    store_state(collector, 1.0, ['arm'], [0.5], [])
     state = collector.state()
     assert state.time == 1.0
     assert list(state.q) == [0.5, 0.02]
     assert collector.unseen() == ['finger']
     assert collector.without_velocity() == ['arm']
-    collector.update(2.0, ['finger'], [0.01], [])
+    store_state(collector, 2.0, ['finger'], [0.01], [])
     assert list(collector.state().q) == [0.5, 0.01]
     assert collector.unseen() == []
 
 
 def test_a_locked_joint_is_never_stale():
     collector = JointStateCollector(['arm', 'finger'], {'finger': 0.02})
-    collector.update(1.0, ['arm', 'finger'], [0.5, 0.0], [])
-    collector.update(9.0, ['arm'], [0.5], [])
+    store_state(collector, 1.0, ['arm', 'finger'], [0.5, 0.0], [])
+    store_state(collector, 9.0, ['arm'], [0.5], [])
     assert collector.stale(9.0, 0.1) == []
     assert collector.state().time == 9.0
 
@@ -204,49 +205,49 @@ def test_rejects_invalid_locked_positions(locked):
 
 def test_efforts_are_kept_by_name():
     collector = JointStateCollector(['a', 'b'])
-    collector.update(1.0, ['b', 'x'], [0.0, 0.0], [], [3.0, 4.0])
+    store_state(collector, 1.0, ['b', 'x'], [0.0, 0.0], [], [3.0, 4.0])
     assert math.isnan(collector.efforts[0])
     assert collector.efforts[1] == 3.0
     with pytest.raises(JointStateError, match='2 names, but 1 efforts'):
-        collector.update(1.0, ['a', 'b'], [0.0, 0.0], [], [3.0])
+        store_state(collector, 1.0, ['a', 'b'], [0.0, 0.0], [], [3.0])
 
 
 def test_efforts_of_one_joint_are_kept_and_renewed(collector):
     for effort in (3.0, 4.0, 5.0):
-        collector.update(1.0, ['elbow'], [0.0], [0.1], [effort])
+        store_state(collector, 1.0, ['elbow'], [0.0], [0.1], [effort])
         assert collector.efforts[1] == effort
 
 
 def test_a_position_that_is_not_finite_is_rejected_after_measured_velocities(collector):
-    collector.update(1.0, ['elbow'], [2.0], [0.1])
-    collector.update(1.1, ['elbow'], [2.1], [0.1])
+    store_state(collector, 1.0, ['elbow'], [2.0], [0.1])
+    store_state(collector, 1.1, ['elbow'], [2.1], [0.1])
     with pytest.raises(JointStateError, match="position of joint 'elbow' is nan"):
-        collector.update(1.2, ['elbow'], [NAN], [0.1])
+        store_state(collector, 1.2, ['elbow'], [NAN], [0.1])
     assert collector.q[1] == 2.1
 
 
 def test_a_state_is_stale_only_after_the_timeout(collector):
-    collector.update(1.0, collector.joint_names, [1.0, 2.0, 3.0], [])
+    store_state(collector, 1.0, collector.joint_names, [1.0, 2.0, 3.0], [])
     assert collector.stale(2.0, 1.0) == []
     assert collector.stale(2.125, 1.0) == list(collector.joint_names)
 
 
 def test_only_the_closest_of_similar_names_is_mentioned():
     collector = JointStateCollector(['elbow_joint', 'other'])
-    collector.update(1.0, ['elbow_joint1', 'elbow_joint12', 'other'], [0.0] * 3, [])
+    store_state(collector, 1.0, ['elbow_joint1', 'elbow_joint12', 'other'], [0.0] * 3, [])
     assert collector.similar_names() == ['elbow_joint1']
 
 
 def test_reported_joints_of_this_robot_do_not_resemble_missing_ones():
     collector = JointStateCollector(['joint1', 'joint2'])
-    collector.update(1.0, ['joint1'], [0.0], [])
+    store_state(collector, 1.0, ['joint1'], [0.0], [])
     assert collector.similar_names() == []
 
 
 def test_repeated_names_of_others_leave_room_for_new_ones(collector):
     for k in range(1, 100):
-        collector.update(1.0, ['wheel'] * k + ['wrist'], [0.0] * (k + 1), [])
-    collector.update(1.0, ['sholder'], [0.0], [])
+        store_state(collector, 1.0, ['wheel'] * k + ['wrist'], [0.0] * (k + 1), [])
+    store_state(collector, 1.0, ['sholder'], [0.0], [])
     assert collector.similar_names() == ['sholder']
 
 
@@ -254,7 +255,7 @@ def test_messages_that_never_repeat_their_names_do_not_fill_the_memory(collector
     tracemalloc.start()
     try:
         for k in range(2000):
-            collector.update(1.0, [f'sensor{k}'], [0.0], [])
+            store_state(collector, 1.0, [f'sensor{k}'], [0.0], [])
         used, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -262,7 +263,7 @@ def test_messages_that_never_repeat_their_names_do_not_fill_the_memory(collector
 
 
 def test_another_description_continues_with_the_state_of_the_joints_it_has(collector):
-    collector.update(3.0, ['shoulder', 'elbow', 'wrist'], [1.0, 2.0, 3.0], [0.1, 0.2, NAN])
+    store_state(collector, 3.0, ['shoulder', 'elbow', 'wrist'], [1.0, 2.0, 3.0], [0.1, 0.2, NAN])
     other = JointStateCollector(['elbow', 'wrist'])
     other.continue_from(collector)
     state = other.state()
@@ -290,17 +291,17 @@ def test_there_is_no_jump_before_a_joint_was_late_or_locked():
     assert (collector.has_jumped, collector.late_count) == (False, 0)
     collector.rest_late(0.0, 1.0)
     assert (collector.has_jumped, collector.late_count) == (False, 0)
-    collector.update(1.0, HAND[:2], [0.0] * 2, [NAN, NAN])
+    store_state(collector, 1.0, HAND[:2], [0.0] * 2, [NAN, NAN])
     collector.rest_late(1.0, 1.0)
     assert (collector.has_jumped, collector.late_count) == (False, 0)
 
 
 def test_a_joint_that_becomes_late_or_returns_sets_the_jump_flag_until_it_is_cleared():
     collector = hand()
-    collector.update(5.0, HAND, [0.0] * 3, [1.0] * 3)
+    store_state(collector, 5.0, HAND, [0.0] * 3, [1.0] * 3)
     collector.rest_late(5.5, 1.0)
     assert not collector.has_jumped
-    collector.update(7.0, ['arm', 'thumb'], [0.0] * 2, [1.0] * 2)
+    store_state(collector, 7.0, ['arm', 'thumb'], [0.0] * 2, [1.0] * 2)
     collector.rest_late(7.0, 1.0)
     assert collector.has_jumped
     assert collector.late(7.0, 1.0) == {'finger': 2.0}
@@ -310,17 +311,17 @@ def test_a_joint_that_becomes_late_or_returns_sets_the_jump_flag_until_it_is_cle
     collector.has_jumped = False
     collector.rest_late(7.2, 1.0)
     assert not collector.has_jumped
-    collector.update(7.3, HAND, [0.0] * 3, [1.0] * 3)
+    store_state(collector, 7.3, HAND, [0.0] * 3, [1.0] * 3)
     collector.rest_late(7.3, 1.0)
     assert collector.has_jumped
 
 
 def test_the_first_report_of_a_locked_joint_sets_the_jump_flag_until_it_is_cleared():
     collector = hand({'thumb': 0.1})
-    collector.update(1.0, HAND[:2], [0.0] * 2, [])
+    store_state(collector, 1.0, HAND[:2], [0.0] * 2, [])
     assert not collector.has_jumped
-    collector.update(1.0, ['thumb'], [0.3], [])
-    collector.update(1.1, HAND[:2], [0.0] * 2, [])
+    store_state(collector, 1.0, ['thumb'], [0.3], [])
+    store_state(collector, 1.1, HAND[:2], [0.0] * 2, [])
     collector.rest_late(1.1, 1.0)
     assert collector.has_jumped
 
@@ -331,7 +332,7 @@ def alternate(collector, joint, start, positions=(0.0, 1.5)):
     for i in range(200):
         q = [0.0] * 3
         q[k] = positions[i % 2]
-        collector.update(start + 0.005 * i, HAND, q, [1.0] * 3)
+        store_state(collector, start + 0.005 * i, HAND, q, [1.0] * 3)
     return start + 1.0
 
 
@@ -339,7 +340,7 @@ def test_contradictory_positions_of_a_commanded_joint_set_the_jump_flag_every_ti
     collector = hand()
     for k in range(200):
         collector.has_jumped = False
-        collector.update(0.005 * k, HAND, [1.5 * (k % 2), 0.0, 0.0], [1.0] * 3)
+        store_state(collector, 0.005 * k, HAND, [1.5 * (k % 2), 0.0, 0.0], [1.0] * 3)
         assert collector.has_jumped == (k > 0)
     assert list(collector.alternating()) == ['arm']
     assert not collector.is_consistent
@@ -383,7 +384,7 @@ def test_a_leap_and_contradictory_positions_in_one_message_are_both_noticed(name
         for k in range(100):
             position = {'arm': 2.0 * (k >= leap_at), 'finger': 1.5 * (k % 2)}
             collector.has_leapt = False
-            collector.update(0.005 * k, names, [position[name] for name in names], [])
+            store_state(collector, 0.005 * k, names, [position[name] for name in names], [])
             if collector.has_alternating:
                 break
         return k, collector
@@ -398,7 +399,7 @@ def test_a_leap_and_contradictory_positions_in_one_message_are_both_noticed(name
 def test_a_leap_is_kept_until_it_is_read():
     collector = hand()
     for now, q in ((0.0, [0.0] * 3), (0.005, [2.0, 0.0, 0.0]), (0.01, [2.0, 2.0, 0.0])):
-        collector.update(now, HAND, q, [])
+        store_state(collector, now, HAND, q, [])
     assert collector.has_leapt
 
 
@@ -410,9 +411,8 @@ def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
 
 
 def test_a_locked_joint_that_does_not_exist_is_named_with_those_that_do():
-    with pytest.raises(
-        ConfigurationError, match=r'nope.*, expected joints of the robot: arm, finger, thumb'
-    ):
+    words = r'nope.*, expected only joints of the robot: arm, finger, thumb'
+    with pytest.raises(ConfigurationError, match=words):
         hand({'nope': 0.0})
 
 
@@ -421,7 +421,7 @@ def test_the_first_position_is_not_taken_for_a_motion(locked):
     def reports_until_alarm(*positions):
         collector = JointStateCollector(['arm'], locked)
         for k in range(1000):
-            collector.update(0.005 * k, ['arm'], [positions[k % 2]], [])
+            store_state(collector, 0.005 * k, ['arm'], [positions[k % 2]], [])
             if collector.alternating():
                 return k
         return None

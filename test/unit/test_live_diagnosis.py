@@ -59,7 +59,7 @@ def test_sentence_of_an_agreement_has_residual_and_effort():
     text = sentence(diagnose_samples(samples, robot, GRAVITY))
     assert text == (
         'model and robot agree: RMS residual 0.13 of 4.8 N m and 0.75 of 57 N; '
-        'not checked, because the efforts are small: joint_6'
+        'not checked because of small efforts: joint_6'
     )
 
 
@@ -70,7 +70,7 @@ def test_swapped_sign_of_one_joint_is_named(joint, moves):
     agreement = diagnose_samples(flipped(samples, joint), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.SIGN)
     assert agreement.faults[0].joints == (joint,)
-    assert sentence(agreement).startswith(f'{joint} has its sign swapped; ')
+    assert sentence(agreement).startswith(f'{joint} reports efforts with the wrong sign; ')
     assert sentence(agreement).endswith(
         ' N; do not go live. Change the sign in the driver. If positions have the wrong sign too, '
         'change the sign of the <axis> in the URDF instead. Until then, do not send efforts of '
@@ -85,7 +85,7 @@ def test_swapped_signs_of_all_joints_are_not_an_inverted_base(moves):
     assert agreement.cause is FaultKind.SIGN
     assert agreement.faults[0].is_every_joint
     assert set(agreement.faults[0].joints) >= set(agreement.checked)
-    assert 'every joint has its sign swapped' in sentence(agreement)
+    assert 'all joints report efforts with the wrong sign' in sentence(agreement)
 
 
 @pytest.mark.parametrize('joint', JOINTS)
@@ -121,7 +121,7 @@ def test_payload_and_swapped_sign_are_both_reported():
     assert (sign.kind, sign.joints) == (FaultKind.SIGN, ('joint_2',))
     assert (payload.kind, payload.link) == (FaultKind.PAYLOAD, 'tool0')
     text = sentence(agreement)
-    assert text.startswith("joint_2 has its sign swapped; link 'tool0' carries 2.")
+    assert text.startswith("joint_2 reports efforts with the wrong sign; link 'tool0' carries 2.")
     assert '; do not go live. Change the sign' in text
 
 
@@ -236,7 +236,7 @@ def test_another_unit_is_named_with_its_factor(factor, moves):
     agreement = diagnose_samples(wrong, robot, GRAVITY)
     assert agreement.cause is FaultKind.UNIT
     assert agreement.faults[0].values == pytest.approx([factor], rel=0.02)
-    assert 'the efforts are in another unit: all are ' in sentence(agreement)
+    assert 'the efforts are in the wrong unit, all ' in sentence(agreement)
 
 
 def test_contact_is_an_unexplained_difference_of_its_joint():
@@ -360,7 +360,7 @@ class TestSaturation:
         robot, samples = samples_of()
         agreement = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
         assert agreement.cause is FaultKind.SIGN
-        assert '; the effort is cut to its limit: joint_2. ' in sentence(agreement)
+        assert '; the effort is cut to its limit at joint_2. ' in sentence(agreement)
 
 
 class TestFewJoints:
@@ -374,7 +374,9 @@ class TestFewJoints:
         assert len(checked) == 1
         agreement = judged(samples, robot, robot.joint_names)
         assert (agreement.outcome, agreement.cause) == (Outcome.FEW_JOINTS, Obstacle.FEW_JOINTS)
-        assert sentence(agreement).startswith('model and robot agree in only 1 of 7 joints: ')
+        assert sentence(agreement).startswith(
+            'model and robot agree, but only 1 of 7 joints could be checked: '
+        )
         assert sentence(agreement).endswith('; move the arm to check the others')
 
     def test_the_others_are_not_measured(self):

@@ -4,16 +4,12 @@ import re
 import subprocess
 import sys
 
-from inverse_dynamics_node.node.help import (
-    enclaves_for,
-    parameter_files,
-    parameter_table,
-    policy_for,
-)
+from inverse_dynamics_node.node.help import parameter_files, parameter_table
 from inverse_dynamics_node.node.parameters import (
     LOCKED_POSITION,
     PARAMETERS,
 )
+from inverse_dynamics_node.node.policy import enclaves, policy
 from lxml import etree
 import pytest
 from robot_files import ROOT
@@ -35,14 +31,14 @@ def test_the_generator_lists_the_files_that_change_and_needs_no_ros():
 
 def test_the_policy_of_other_names_is_well_formed():
     arguments = ['--ros-args', '-r', '__ns:=/left', '-r', 'joint_states:=<&>', '-p', 'kp:=1.0']
-    policy = etree.fromstring(policy_for(arguments).encode())
-    paths = [enclave.get('path') for enclave in policy.iter('enclave')]
+    root = etree.fromstring(policy(arguments).encode())
+    paths = [enclave.get('path') for enclave in root.iter('enclave')]
     assert paths == ['/left/inverse_dynamics', '/left/driver', '/left/watch', '/left/operator']
-    assert '/left/<&>' in [topic.text for topic in policy.iter('topic')]
+    assert '/left/<&>' in [topic.text for topic in root.iter('topic')]
 
 
 def test_only_the_operator_may_call_and_only_the_driver_publishes_states():
-    node, driver, watch, operator = enclaves_for([])
+    node, driver, watch, operator = enclaves([])
     assert '/joint_states' in driver.publish
     assert '/joint_states' not in (*node.publish, *watch.publish, *operator.publish)
     assert not (*node.request, *driver.request, *watch.request)
@@ -73,5 +69,5 @@ def test_every_default_is_valid_and_described(name):
 def test_the_unit_follows_the_first_sentence():
     assert PARAMETERS['kp'].description == 'Position gain of computed_torque [1/s^2]'
     description = PARAMETERS['effort_limits'].description
-    assert description.startswith('Effort limits tighter than those of the URDF [N m, N]. 0: none')
+    assert description.startswith('Effort limits in addition to those of the URDF [N m, N]. 0:')
     assert re.search(r'reports it \[rad, m\]\. ', LOCKED_POSITION.description)

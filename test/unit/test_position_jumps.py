@@ -5,6 +5,7 @@ from inverse_dynamics_node.control.joint_states import JointStateCollector
 import numpy as np
 import pytest
 from robot_files import ROOT
+from states import store_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
 NAMES, N = ROBOT.joint_names, len(ROBOT.joint_names)
@@ -18,7 +19,7 @@ def jumps(times, positions, velocities=(), robot=ROBOT, commanded=()):
     found = []
     for now, q in zip(times, positions, strict=True):
         collector.has_jumped = False
-        collector.update(float(now), robot.joint_names, q, velocities)
+        store_state(collector, float(now), robot.joint_names, q, velocities)
         found.append(collector.has_jumped)
     return found
 
@@ -105,6 +106,6 @@ def test_the_position_of_a_joint_that_alternates_is_not_used_and_no_jump():
         q = np.zeros(N)
         q[-1] = 1.5 * (k % 2)
         collector.has_jumped = False
-        collector.update(0.005 * k, NAMES, q, ())
+        store_state(collector, 0.005 * k, NAMES, q, ())
     assert list(collector.alternating()) == [NAMES[-1]]
     assert not collector.has_jumped

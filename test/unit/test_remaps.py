@@ -3,8 +3,6 @@
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.remaps import (
     expanded_tildes,
-    ineffective_files,
-    ineffective_remaps,
     NodeNames,
     with_parameter_files,
 )
@@ -13,11 +11,11 @@ import pytest
 NAMES = ['joint_states', 'imu', '/diagnostics', '~/commands', '~/joint_efforts', '~/enable']
 
 
-def problems(*rules, names=NAMES, node='arm', namespace='/left'):
+def problems(*rules, namespace='/left'):
     arguments = ['node', '--ros-args']
-    for rule in rules:
+    for rule in ('__node:=arm', f'__ns:={namespace}', *rules):
         arguments += ['-r', rule]
-    return ineffective_remaps(arguments, names, node, namespace)
+    return NodeNames(arguments).ineffective_remaps(NAMES)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +77,7 @@ def test_a_rule_that_rcl_cannot_parse_is_explained():
 
 def test_only_ros_arguments_are_rules():
     arguments = ['node', '-r', 'a:=b', '--ros-args', '-p', 'a:=1', '--', '-r', 'c:=d']
-    assert ineffective_remaps(arguments, NAMES, 'arm', '/') == []
+    assert NodeNames(arguments).ineffective_remaps(NAMES) == []
 
 
 def test_parameter_files_are_found_in_home_directories(tmp_path, monkeypatch):
@@ -126,7 +124,8 @@ def test_every_parameter_file_that_does_not_exist_is_named(tmp_path, monkeypatch
 def test_a_parameter_file_for_other_nodes_is_reported(sections, has_effect, tmp_path):
     path = tmp_path / 'arm.yaml'
     path.write_text(f'{sections}\n  ros__parameters:\n    kp: 1.0\n')
-    found = ineffective_files(['--ros-args', '--params-file', str(path)], '/left/arm')
+    arguments = ['--ros-args', '--params-file', str(path), '-r', '__ns:=/left']
+    found = NodeNames([*arguments, '-r', '__node:=arm']).ineffective_files()
     assert bool(found) != has_effect
     if found:
         assert found[0].startswith(f'--params-file {path} has no effect: it is for /')
@@ -137,7 +136,7 @@ def test_a_parameter_file_for_other_nodes_is_reported(sections, has_effect, tmp_
 def test_files_without_sections_are_not_reported(text, tmp_path):
     path = tmp_path / 'arm.yaml'
     path.write_text(text)
-    assert ineffective_files(['--ros-args', '--params-file', str(path)], '/arm') == []
+    assert NodeNames(['--ros-args', '--params-file', str(path)]).ineffective_files() == []
 
 
 def test_names_are_those_of_the_default_node_without_arguments():

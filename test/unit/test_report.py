@@ -8,7 +8,6 @@ from inverse_dynamics_node.report.tables import (
     as_text,
     effort_unit,
     shortened,
-    Style,
     Table,
     table_lines,
     warnings_about,
@@ -67,9 +66,7 @@ def test_joints_beyond_their_limits_are_marked():
     assert table.rows[1][-1] == 'beyond its limit'
     assert table.marked == {1, 2}
     styles = [line.style for line in table_lines(table)]
-    assert styles[:5] == [
-        Style.TITLE, Style.COLUMNS, Style.ROW, Style.MARKED_ROW, Style.MARKED_ROW,
-    ]  # fmt: skip
+    assert styles[:5] == ['bold', 'cyan', '', 'bold red', 'bold red']
 
 
 def test_given_limits_apply_to_the_commanded_joints():
@@ -95,7 +92,7 @@ def test_invalid_options_are_reported(options, error, words):
 def test_missing_effort_limits_are_reported_once():
     text = STANFORD.read_text().replace('effort="200"', 'effort="0"')
     (warning,) = warnings_about(load_urdf(text))
-    assert warning.text == '0 is read as unknown, so the effort is not limited'
+    assert warning.text == '0 means unknown, so the effort is not limited'
     robot = load_urdf(ROOT / 'test' / 'robots' / 'continuous.urdf')
     unlimited = int(np.count_nonzero(np.isinf(robot.effort_limits)))
     warnings = [str(warning) for warning in warnings_about(robot)]
@@ -191,10 +188,13 @@ def chain_of(count, limit='{k}', mass='{k}', inertia=(1, 1, 1)):
 @pytest.mark.parametrize(
     ('urdf', 'words'),
     [
-        (chain_of(5), '5 of 5 links with mass have the inertia 1 1 1 kg m^2 (l2, l3, l4, l5)'),
+        (
+            chain_of(5),
+            '5 of 5 links with mass have ixx = iyy = izz = 1 kg m^2 (l2, l3, l4, l5, ...)',
+        ),
         (
             chain_of(5, inertia=(0.1, 0.2, 0.2)),
-            '5 of 5 links with mass have the same inertia, ixx 0.1 kg m^2',
+            '5 of 5 links with mass have the same inertia (ixx = 0.1 kg m^2)',
         ),
         (
             chain_of(5, inertia=(0.1, 0.1, 0.1), mass='2'),

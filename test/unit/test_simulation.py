@@ -11,6 +11,7 @@ from robot_files import OUR_ROBOTS, real_robots, ROOT
 
 pytest.importorskip('mujoco')
 
+from accelerated_robot import AcceleratedRobot
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
@@ -48,7 +49,7 @@ def arm(*inertials, axis='0 1 0', extra='', limit='lower="-2" upper="2" effort="
 
 def simulated(urdf, start=None, friction=False):
     robot = load_urdf(urdf)
-    return MujocoRobot(urdf, robot, start_of(robot) if start is None else start, friction)
+    return AcceleratedRobot(urdf, robot, start_of(robot) if start is None else start, friction)
 
 
 def start_of(robot):
@@ -443,7 +444,7 @@ class TestTrajectory:
 
     def test_weak_drives_are_named(self):
         robot = load_urdf(arm(BODY, limit='lower="-0.2" upper="0.2" effort="0.1" velocity="3"'))
-        message = r"too small .* 'j1' needs \S+ N m against .* \(limit 0\.1\); write the limits"
+        message = r"too small .* 'j1' needs \S+ of 0\.1 N m against gravity\. Write the limits"
         with pytest.raises(SimulationError, match=message):
             start_pose(robot, InverseDynamics(robot))
 

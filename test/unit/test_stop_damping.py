@@ -5,8 +5,6 @@ from functools import cache
 import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.joint_states import State
-from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Settings, StalePolicy
 from inverse_dynamics_node.control.stop_damping import AT_REST
 from inverse_dynamics_node.control.supervision import Phase
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 from robot_files import ROOT
 from soft_stops import ARMS, SoftStop, STOP
+from states import Controller, joint_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 DYNAMICS = InverseDynamics(ROBOT)
@@ -41,7 +40,7 @@ class Arm:
         if self.time < self.lost_since:
             self.q = self.q + period * self.qd
         time = min(self.time, self.lost_since)
-        state = State(self.q, self.reported * self.qd, time, None, self.is_consistent)
+        state = joint_state(self.q, self.reported * self.qd, time, None, self.is_consistent)
         return self.controller.step(self.time, state, None).efforts.copy()
 
     def run(self, duration):
@@ -194,7 +193,7 @@ def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own()
         q[0], times[0] = Q[0] + now * qd[0], now
         if k % 10 == 0:
             q[1], times[1] = Q[1] + now * qd[1], now
-        arm.step(now, State(q.copy(), qd, times.min(), times.copy()), None)
+        arm.step(now, joint_state(q.copy(), qd, times.min(), times.copy()), None)
         if k == 1:
             arm.stop()
     assert arm.stop_damping.is_active
@@ -241,12 +240,12 @@ def test_a_full_turn_of_a_continuous_joint_is_no_motion():
     arm = Controller(InverseDynamics(robot), (), settings)
     q, qd = np.zeros((2, len(robot.joint_names)))
     q[joint], qd[joint] = math.pi - 0.01, 0.2
-    arm.step(0.0, State(q.copy(), qd, 0.0), None)
+    arm.step(0.0, joint_state(q.copy(), qd, 0.0), None)
     arm.stop()
     for k in range(1, 101):
         q[joint] += PERIOD * qd[joint]
         wrapped = q - 2.0 * math.pi * (q > math.pi)
-        arm.step(PERIOD * k, State(wrapped, qd, PERIOD * k), None)
+        arm.step(PERIOD * k, joint_state(wrapped, qd, PERIOD * k), None)
     assert wrapped[joint] < 0.0
     assert arm.stop_damping.is_active
 
@@ -367,7 +366,7 @@ def test_bursts_of_joint_states_do_not_weaken_the_protection():
 def test_the_time_to_fall_while_the_motion_is_damped_is_a_stop_ramp():
     arm = Arm()
     arm.stop(1.0)
-    assert arm.controller.time_to_fall == RAMP
+    assert arm.controller.shaper.time_to_fall == RAMP
 
 
 # In simulation, with 5 ms of delay and 0.01 rad/s of noise

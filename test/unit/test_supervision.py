@@ -1,9 +1,9 @@
 """Dry runs end commands without a step; efforts rise again when lost joint states are back."""
 
-from inverse_dynamics_node.control.joint_states import State
 from inverse_dynamics_node.control.supervision import DryRun, Phase, StateSupervisor
 import numpy as np
 import pytest
+from states import joint_state
 
 EFFORTS = np.array([4.0, -2.0])
 DT = 0.1
@@ -21,7 +21,7 @@ def test_a_dry_run_from_the_start_sends_nothing():
     dry_run = DryRun(is_active=True)
     assert dry_run.select(EFFORTS, DT) is None
     assert not dry_run.has_sent
-    assert dry_run.may_end
+    assert not dry_run.has_effort
 
 
 def test_commands_fall_to_zero_and_end_while_the_computed_efforts_grow():
@@ -30,7 +30,7 @@ def test_commands_fall_to_zero_and_end_while_the_computed_efforts_grow():
     dry_run.begin(time_to_fall=0.4)
     growing = (EFFORTS * (2.0 + k) for k in range(100))
     for factor in (0.75, 0.5, 0.25, 0.0):
-        assert not dry_run.may_end
+        assert dry_run.has_effort
         assert dry_run.select(next(growing), DT) == pytest.approx(factor * EFFORTS, abs=1e-12)
     zeros = 0
     while (sent := dry_run.select(next(growing), DT)) is not None:
@@ -73,15 +73,15 @@ def test_a_second_begin_does_not_restart_the_ramp():
     assert dry_run.select(EFFORTS, DT) == pytest.approx(0.5 * EFFORTS)
 
 
-def test_a_dry_run_may_end_as_soon_as_the_commands_are_zero():
+def test_a_dry_run_has_no_effort_as_soon_as_the_commands_are_zero():
     dry_run = DryRun()
     dry_run.select(EFFORTS, DT)
-    assert not dry_run.may_end  # there is none
+    assert not dry_run.is_active
     dry_run.begin(time_to_fall=0.2)
     dry_run.select(EFFORTS, DT)
-    assert not dry_run.may_end
+    assert dry_run.has_effort
     dry_run.select(EFFORTS, DT)
-    assert dry_run.may_end
+    assert not dry_run.has_effort
     dry_run.end()
     assert dry_run.select(EFFORTS, DT) is EFFORTS
 
@@ -106,7 +106,7 @@ class Supervised:
 
     def at(self, time, gain=1.0, age=0.0):
         """Return whether the states are lost; an age of None is that of no state at all."""
-        state = None if age is None else State(np.zeros(2), np.zeros(2), time - age)
+        state = None if age is None else joint_state(np.zeros(2), np.zeros(2), time - age)
         lost = self.supervisor.blocking_phase(time, state, TIMEOUT, gain)
         self.supervisor.phase = lost or Phase.RUNNING
         return lost is Phase.STATE_LOST

@@ -94,9 +94,9 @@ def test_other_joints_rest_at_their_positions():
     ('change', 'words'),
     [
         ({'times': np.empty(0), 'positions': np.empty((0, 1))}, 'no points'),
-        ({'times': TIMES[::-1]}, 'point 1 is at 1.95 s, expected a time after point 0 at 2 s'),
-        ({'times': np.zeros(41)}, 'point 1 is at 0 s, expected a time after'),
-        ({'times': np.full(41, np.nan)}, 'a time is nan'),
+        ({'times': TIMES[::-1]}, '1.95 s, expected a time later than 2 s, the time of point 0'),
+        ({'times': np.zeros(41)}, 'point 1 is at 0 s, expected a time later than'),
+        ({'times': np.full(41, np.nan)}, 'one of the times is nan'),
         ({'positions': np.zeros((41, 2))}, r'positions have shape \(41, 2\), expected \(41, 1\)'),
         ({'velocities': np.full((41, 1), np.inf)}, "velocities of joint 'a' are inf at point 0"),
     ],

@@ -131,8 +131,8 @@ def test_error_contains_the_reason_of_the_operating_system(tmp_path, monkeypatch
     [
         ('', 'empty: expected a path or XML text'),
         (' \n', 'empty: expected a path or XML text'),
-        ('{"a": 1}', "XML text starts with '<'"),
-        ('a' * 5000, "XML text starts with '<'"),
+        ('{"a": 1}', "XML text must start with '<'"),
+        ('a' * 5000, "XML text must start with '<'"),
         ('a\0b', 'cannot be read: '),
     ],
 )
@@ -321,14 +321,14 @@ ELEMENT_PROBLEMS = [
     ),
     (
         [('<parent link="base"/>', '<parent link="l3"/>')],
-        "3 links are not connected to root 'base' (cycle): 'l1', 'l2', 'l3'",
+        "3 links are not connected to root 'base', because of a cycle: 'l1', 'l2', 'l3'",
     ),
     # types
     ([('"prismatic"', '"hinge"')], "joint 'j2': type 'hinge' is not one of revolute, continuous"),
     ([('"prismatic"', '" prismatic "')], "type ' prismatic ' is not one of"),
     ([('"prismatic"', '"Prismatic"')], "type 'Prismatic' is not one of"),
     ([('"prismatic"', '""')], "type '' is not one of"),
-    ([(' type="prismatic"', '')], "line 24: joint 'j2': type is not one of"),
+    ([(' type="prismatic"', '')], "line 24: joint 'j2': type is missing, expected one of"),
     (
         [('"prismatic"', '"planar"')],
         "joint type 'planar' is not supported; use two prismatic joints and a continuous one",
@@ -739,9 +739,9 @@ WARNINGS = [
     ([('lower="0" upper="0.5"', 'upper="0.5"')], "joint 'j2': <limit> has no lower; 0 is used"),
     (
         [('effort="20"', 'effort="0"')],
-        "line 29: joint 'j2' effort limit: 0 is read as unknown, so the effort is not limited",
+        "line 29: joint 'j2' effort limit: 0 means unknown, so the effort is not limited",
     ),
-    ([('velocity="1"', 'velocity="0"')], "joint 'j2' velocity limit: 0 is read as unknown"),
+    ([('velocity="1"', 'velocity="0"')], "joint 'j2' velocity limit: 0 means unknown"),
 ]
 
 
@@ -791,14 +791,14 @@ def test_robot_that_moves_no_mass_is_reported_once():
         [*GOOD.splitlines()[:4], '</link>', '<link name="l2"/>', *GOOD.splitlines()[16:]]
     )
     (warning,) = load_urdf(text).warnings
-    assert str(warning) == 'no joint moves any mass: every gravity effort is zero'
+    assert str(warning) == 'no joint moves any mass, so every gravity effort is zero'
 
 
 def test_robot_without_movable_joints_loads_with_a_warning():
     robot = load_urdf(NOTHING_MOVES)
     assert robot.joint_names == ()
     (warning,) = robot.warnings
-    assert str(warning) == 'no joint can move: there is no effort to compute'
+    assert str(warning) == 'no joint can move, so there is no effort to compute'
 
 
 def test_warnings_are_in_file_order():

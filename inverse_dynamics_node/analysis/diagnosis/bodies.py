@@ -50,7 +50,7 @@ SMALL = 4e-4  # fitted links are ignored if another explanation leaves less than
 BETTER = 0.35
 """
 Fitted links must leave less than this fraction of the squares that another explanation leaves.
-The limit applies if the fit with links still needs all causes of the other explanation.
+The limit applies if all causes of the other explanation are still needed with the links fitted.
 """
 CHANGING = 2.0  # links may leave this multiple of the squares that a tilting base leaves
 NEEDED = 10.0  # least increase of the log evidence for an additional cause
@@ -66,10 +66,10 @@ class Bodies(NamedTuple):
     """Explanation of the efforts that wrong links do not explain."""
     change: Floats
     """Change of the inertial parameters of b links, shape (10 b,)."""
-    before: Floats
-    """RMS residual of each joint without fitted links, shape (n,) [N m or N]."""
-    after: Floats
-    """RMS residual of each joint with fitted links, shape (n,) [N m or N]."""
+    before: list[float]
+    """RMS residual of each joint without fitted links [N m or N]."""
+    after: list[float]
+    """RMS residual of each joint with fitted links [N m or N]."""
     delay: float
     """Linear estimate of the delay of the measured efforts [s]."""
     delay_error: float
@@ -104,7 +104,7 @@ class Bodies(NamedTuple):
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
 
     def _confirms(self, before: RobotFit) -> bool:
-        """Return whether the fit with links still needs every cause in `before`."""
+        """Return whether every cause in `before` is still needed with the links fitted."""
         candidate = before.candidate
         if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
             return False
@@ -181,6 +181,7 @@ class _Problem:
         base = data.other_gravity() if data.contradicts(robot_fit.candidate) else data.nominal
         self.base = base
         self.prior = self._prior(dynamics)
+        loads = [LOADS + PARAMETERS * k + i for k in range(len(data.links)) for i in range(4)]
         parts, targets, joints, times = [], [], [], []
         for position, j in enumerate(moving):
             samples, fit = data.joints[j], robot_fit.fits[j]
@@ -191,11 +192,8 @@ class _Problem:
             matrix[:, : self.width] = regressor[used, compared.index[compared.varying[j]]]
             own = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
             matrix[:, self.own[position] : self.own[position] + 4] = own
-            matrix[:, self.gravity : self.gravity + 3] = columns[:, WEIGHT : WEIGHT + 3]
-            for k in range(len(data.links)):
-                first = self.payloads + 4 * k
-                load = LOADS + PARAMETERS * k
-                matrix[:, first : first + 4] = columns[:, load : load + 4]
+            matrix[:, self.gravity : self.payloads] = columns[:, WEIGHT : WEIGHT + 3]
+            matrix[:, self.payloads : self.delay] = columns[:, loads]
             matrix[:, self.delay] = -rates[chosen[used], j]
             source = columns[:, data.first_measured + robot_fit.source[j]]
             target = fit.sensor_fault.sign * source / robot_fit.factor(j)
@@ -345,7 +343,7 @@ class _Problem:
     def _bodies(self, fit: _Fit, weights: Floats, candidate: CandidateModel) -> Bodies:
         """Return the fitted links, and their residuals in two-fold cross-validation."""
         data, before = self.data, self.robot_fit
-        after = np.array([each.rms for each in before.fits])
+        after = [each.rms for each in before.fits]
         residual = np.zeros_like(self.target)
         for half in (False, True):
             system = self._system(np.where(self.half == half, weights, 0.0))
@@ -367,11 +365,10 @@ class _Problem:
             )
             fits[j] = fits[j]._replace(sensor_fault=fault)
         robot_fit = before._replace(candidate=candidate, fits=tuple(fits))
-        rms = np.array([each.rms for each in data.refit(robot_fit).fits])
         return Bodies(
             robot_fit,
             fit.solution[: self.width],
-            rms,
+            [each.rms for each in data.refit(robot_fit).fits],
             after,
             float(fit.solution[self.delay]),
             float(fit.errors[self.delay]),

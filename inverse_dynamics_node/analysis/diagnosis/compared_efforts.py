@@ -9,19 +9,13 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
-from ..columns import (
-    direction_of,
-    friction_columns,
-    gravity_columns,
-    payload_columns,
-    STATES_AT_ONCE,
-)
+from ..columns import friction_columns, gravity_columns, payload_columns, STATES_AT_ONCE
 from ..recordings.resampling import pieces, smooth_like_efforts
 from ..recordings.signals import Motion
 from .fault import FaultKind, GravityConvention
 from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
-from .intervals import changing_gravity_efforts, FaultInterval
-from .joint_samples import CREDIBLE, JointSignals, sample_joints
+from .intervals import FaultInterval
+from .joint_samples import CREDIBLE, sample_joints
 from .loads import loaded_links, PARAMETERS, point_mass_parameters
 from .regression_data import RegressionData, RobotFit
 
@@ -59,6 +53,8 @@ class ComparedEfforts:
         q, qd, qdd = np.zeros((3, K, n))
         q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
         self.states = q, qd, qdd
+        some = self.fit_samples = slice(None, None, max(1, motion.window // SAMPLES_PER_WINDOW))
+        self.fit_states = q[some], qd[some], qdd[some]
         self.all_index = index
         self.links = loaded_links(robot, q, link)
         self.compared = [j for j in range(len(index)) if np.isfinite(motion.efforts[:, j]).all()]
@@ -66,7 +62,7 @@ class ComparedEfforts:
         self.names = [motion.joint_names[j] for j in self.compared]
         self.measured = motion.efforts[:, self.compared]
         self.qd, self.qdd = motion.qd[:, self.compared], motion.qdd[:, self.compared]
-        self.direction = smooth_like_efforts(motion, direction_of(self.qd, width))
+        self.direction = smooth_like_efforts(motion, np.tanh(self.qd / width))
         self.period = motion.period
         terms = dynamics.effort_terms(*self.states)
         self.gravity: Floats = terms.gravity[:, self.index]
@@ -79,17 +75,6 @@ class ComparedEfforts:
         self.varying = self._varying()
         least = 0.01 * float(np.max(np.abs(self.rigid)))
         self.constant = np.flatnonzero(not_measured(self.measured, self.rigid, least)).tolist()
-
-    @property
-    def fit_samples(self) -> slice:
-        """Slice that selects the samples for fits."""
-        return slice(None, None, max(1, self.motion.window // SAMPLES_PER_WINDOW))
-
-    @property
-    def fit_states(self) -> tuple[Floats, Floats, Floats]:
-        """Positions, velocities and accelerations of the samples for fits."""
-        q, qd, qdd = self.states
-        return q[self.fit_samples], qd[self.fit_samples], qdd[self.fit_samples]
 
     def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
         """
@@ -130,9 +115,8 @@ class ComparedEfforts:
     def rates(self, robot_fit: RobotFit) -> Floats:
         """Return the time derivatives of the explained efforts [N m/s or N/s]."""
         efforts = corrected_efforts(self, robot_fit)[1][:, self.varying]
-        columns = self.qd[:, self.varying], self.direction[:, self.varying]
-        for j, fit in enumerate(robot_fit.fits):
-            efforts[:, j] += fit.damping * columns[0][:, j] + fit.coulomb * columns[1][:, j]
+        for j, (c, fit) in enumerate(zip(self.varying, robot_fit.fits, strict=True)):
+            efforts[:, j] += fit.friction(self.qd[:, c], self.direction[:, c])
         times = self.motion.times
         return np.concatenate(
             [np.gradient(efforts[a:b], times[a:b], axis=0) for a, b in pieces(times)]
@@ -153,25 +137,23 @@ class ComparedEfforts:
             return np.ones(len(self.qd), dtype=bool)
         return is_moving(self.qd[:, c], self.width)
 
-    def is_prismatic(self, c: int) -> bool:
-        """Return whether a joint is prismatic."""
-        return bool(self.robot.is_prismatic_joint[self.index[c]])
-
     def regression_data(self) -> RegressionData:
         """Return the regression data of all joints with varying efforts."""
-        some, varying = self.fit_samples, self.varying
-        signals = JointSignals(
+        robot, some, varying = self.robot, self.fit_samples, self.varying
+        joints = sample_joints(
+            self.dynamics,
+            self.motion.times[some],
+            self.fit_states,
+            self.links,
             [self.index[c] for c in varying],
-            self.measured[some][:, varying],
-            self.rigid[some][:, varying],
-            self.gravity[some][:, varying],
-            self.direction[some][:, varying],
-            [self.used(c)[some] for c in varying],
-            [self.moves(c) for c in varying],
-            self.noise[varying],
+            measured=self.measured[some][:, varying],
+            modelled=self.rigid[some][:, varying],
+            gravity=self.gravity[some][:, varying],
+            direction=self.direction[some][:, varying],
+            used=[self.used(c)[some] for c in varying],
+            moves=[self.moves(c) for c in varying],
+            noise=self.noise[varying],
         )
-        robot, times = self.robot, self.motion.times[some]
-        joints = sample_joints(self.dynamics, times, self.fit_states, signals, self.links)
         duration = len(self.motion.times) * self.period
         sample_count = len(self.motion.times) / self.motion.window
         own_masses = self.dynamics.inertial_parameters()[::PARAMETERS]
@@ -246,10 +228,10 @@ def corrected_efforts(
     if fault is not None and fault.kind is FaultKind.PAYLOAD:
         correction = correction * compared.inside(fault)[:, None]
     if fault is not None and fault.kind is FaultKind.MOUNTING:
-        correction = changing_gravity_efforts(
-            fault, compared.robot, compared.states[0], compared.motion.times
-        )[:, compared.index]
-        correction = correction - compared.gravity
+        columns = gravity_columns(compared.robot, compared.states[0])[:, compared.index]
+        times, knots = compared.motion.times, fault.knots
+        gravity = np.stack([np.interp(times, knots, axis) for axis in fault.gravity.T], axis=-1)
+        correction = np.einsum('kcx,kx->kc', columns, gravity) - compared.gravity
     efforts = compared.rigid + correction
     for j, (c, fit) in enumerate(zip(compared.varying, robot_fit.fits, strict=True)):
         source = compared.measured[:, compared.varying[robot_fit.source[j]]]
@@ -318,9 +300,9 @@ def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
     is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
     for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
         if fit.moves and fit.remaining > CREDIBLE:
-            reasons[c] = 'the effort of this joint is not explained'
+            reasons[c] = 'the model does not explain the effort of this joint'
         elif is_scaled and fit.is_friction_only:
-            reasons[c] = 'the unit of the effort of this joint is unknown'
+            reasons[c] = 'the effort of this joint is in an unknown unit'
     return reasons
 
 
@@ -346,16 +328,7 @@ def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: 
     """Return friction plus offset of one joint, given the load on the gear."""
     qd = compared.qd[:, c]
     if not fit.has_shape:
-        return fit.efforts(qd, compared.direction[:, c])
+        return fit.friction(qd, compared.direction[:, c]) + fit.offset
     smooth = partial(smooth_like_efforts, compared.motion)
     factors = np.array([fit.damping, fit.coulomb, fit.load_friction, fit.offset])
     return np.asarray(friction_columns(qd, fit.width, load, smooth) @ factors)
-
-
-def with_friction_only(compared: ComparedEfforts) -> Floats:
-    """Fit friction without any faults, and return the modelled efforts with this friction."""
-    efforts: Floats = compared.rigid.copy()
-    for c, fit in enumerate(fit_joints(compared, compared.measured - compared.rigid, {})):
-        efforts[:, c] += fit.damping * compared.qd[:, c]
-        efforts[:, c] += fit.coulomb * compared.direction[:, c]
-    return efforts

@@ -13,16 +13,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...robot.limit_checks import implausible_positions
 from ...robot.model import Floats, RobotModel
-from .bodies import Bodies
 from .fault import Change, Fault, FaultKind
 from .intervals import FaultInterval
 from .joint_samples import CREDIBLE, JointFit, NO_FAULT, PARAMETER_COST
 from .loads import MAX_COM_ERROR
-from .regression_data import RegressionData, RobotFit
+from .regression_data import angle_between, RegressionData, RobotFit
 
 CHANGED = 0.9  # a fault affects a joint if the correction leaves a smaller fraction of the RMS
 MOST_UNEXPLAINED = 0.5  # unexplained fraction above which joints at rest are reported
@@ -82,11 +80,11 @@ def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) ->
         found.other_gravity(),
         found.mounting(),
         found.unit(),
-        found.sensor_fault(FaultKind.SIGN, 'is_swapped'),
-        found.sensor_fault(FaultKind.SCALE, 'is_scaled'),
+        found.sensor_fault(FaultKind.SIGN, 'is_swapped', lambda fit: -1.0),
+        found.sensor_fault(FaultKind.SCALE, 'is_scaled', lambda fit: fit.scale),
         found.payload(),
-        found.sensor_fault(FaultKind.ROTOR_INERTIA, 'has_rotor'),
-        found.sensor_fault(FaultKind.OFFSET, 'has_offset'),
+        found.sensor_fault(FaultKind.ROTOR_INERTIA, 'has_rotor', lambda fit: fit.rotor),
+        found.sensor_fault(FaultKind.OFFSET, 'has_offset', lambda fit: fit.offset),
         found.unexplained(),
     )
     return [fault for fault in faults if fault is not None]
@@ -94,23 +92,17 @@ def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) ->
 
 def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> Fault:
     """Return the fault that acts during an interval."""
-    if fault.kind is FaultKind.MOUNTING and fault.gravity is not None:
-        angles = [angle_between(each, fault.data.gravity) for each in fault.gravity]
-        steepest = int(np.argmax(angles))
-        values = tuple(fault.gravity[steepest].tolist())
-        found: Fault | None = Fault(FaultKind.MOUNTING, values=values, angle=angles[steepest])
+    if fault.kind is FaultKind.MOUNTING:
+        angles = angle_between(fault.gravity, fault.data.gravity)
+        values = tuple(fault.gravity[np.argmax(angles)].tolist())
+        angle = float(angles.max())
+        found: Fault | None = Fault(FaultKind.MOUNTING, values=values, angle=angle)
     elif fault.kind is FaultKind.PAYLOAD:
         found = _Faults(fault.data, fault.outside, names).payload()
     else:
         found = Fault(FaultKind.EXTERNAL_FORCE, tuple(names[j] for j in fault.joints))
     assert found is not None
     return found._replace(interval=fault.interval)
-
-
-def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Fault:
-    """Return the fault for several wrong links."""
-    before, after = bodies.before.tolist(), bodies.after.tolist()
-    return Fault(FaultKind.BODIES, changes=_changes(data, names, before, after))
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
@@ -120,11 +112,11 @@ def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> lis
         return []
     before = [fit.rms for fit in data.friction_only().fits]
     after = [fit.rms for fit in axes.data.friction_only().fits]
-    changes = _changes(data, names, before, after)
+    changes = decreases(data, names, before, after)
     return [Fault(FaultKind.REVERSED_AXIS, joints, changes=changes)]
 
 
-def _changes(
+def decreases(
     data: RegressionData,
     names: Sequence[str],
     before: Sequence[float],
@@ -170,14 +162,11 @@ class _Faults:
         self.fits = robot_fit.fits
         moving = [fit for fit in self.fits if fit.moves]
         self.is_motor_side = 2 * sum(fit.has_friction for fit in moving) > len(moving)
-        self.relevant = [
-            name for fit, name in zip(self.fits, names, strict=True) if not fit.is_friction_only
-        ]
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
         """Return the effects of one fault, given the fit without this fault."""
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
-        return _changes(self.data, self.names, before, after, self.robot_fit.source)
+        return decreases(self.data, self.names, before, after, self.robot_fit.source)
 
     def order(self) -> Fault | None:
         source = self.robot_fit.source
@@ -222,7 +211,7 @@ class _Faults:
             FaultKind.MOUNTING,
             values=candidate.solution,
             changes=self.changes(self._without_candidate()),
-            angle=angle_between(candidate.solution, self.data.gravity),
+            angle=float(angle_between(np.array(candidate.solution), self.data.gravity)),
         )
 
     def payload(self) -> Fault | None:
@@ -255,8 +244,10 @@ class _Faults:
             is_every_joint=True,
         )
 
-    def sensor_fault(self, kind: FaultKind, flag: str) -> Fault | None:
-        """Return one fault for all joints with this kind of sensor fault."""
+    def sensor_fault(
+        self, kind: FaultKind, flag: str, value: Callable[[JointFit], float]
+    ) -> Fault | None:
+        """Return one fault, with a value for each joint that has this kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return None
@@ -267,10 +258,10 @@ class _Faults:
         return Fault(
             kind,
             joints,
-            tuple(_value(self.fits[j], kind) for j in found),
+            tuple(value(self.fits[j]) for j in found),
             self.changes(self.data.refit(self.robot_fit, without=flag)),
             unknown=tuple(friction_only) if kind is FaultKind.SCALE else (),
-            is_every_joint=len(joints) > 1 and set(self.relevant) <= set(joints),
+            is_every_joint=len(joints) > 1 and set(self.names) <= {*joints, *friction_only},
             is_motor_side=self.is_motor_side,
         )
 
@@ -298,21 +289,3 @@ class _Faults:
         return Fault(
             FaultKind.UNEXPLAINED, tuple(each.joint for each in changes), (), tuple(changes)
         )
-
-
-def _value(fit: JointFit, kind: FaultKind) -> float:
-    """Return the fitted value of a sensor fault."""
-    if kind is FaultKind.SIGN:
-        return -1.0
-    values = {
-        FaultKind.SCALE: fit.scale,
-        FaultKind.ROTOR_INERTIA: fit.rotor,
-        FaultKind.OFFSET: fit.offset,
-    }
-    return values[kind]
-
-
-def angle_between(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the angle between two vectors [rad]."""
-    cosine = float(np.dot(a, b)) / float(np.linalg.norm(a) * np.linalg.norm(b))
-    return math.acos(min(1.0, max(-1.0, cosine)))

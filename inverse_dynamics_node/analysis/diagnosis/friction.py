@@ -52,9 +52,9 @@ class FrictionFit(NamedTuple):
         """Return a fit with unknown friction."""
         return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
 
-    def efforts(self, qd: Floats, direction: Floats) -> Floats:
-        """Return friction plus offset at the given velocities and smoothed directions."""
-        return np.asarray(self.damping * qd + self.coulomb * direction + self.offset)
+    def friction(self, qd: Floats, direction: Floats) -> Floats:
+        """Return damping and Coulomb friction at the given velocities and smoothed directions."""
+        return self.damping * qd + self.coulomb * direction
 
     @property
     def has_shape(self) -> bool:
@@ -73,7 +73,7 @@ def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
         return (
-            f'this joint was never faster than {fastest:.2g} rad/s or m/s, expected more than '
+            f'the largest speed of this joint was {fastest:.2g} rad/s or m/s, expected more than '
             f'{fast:g}'
         )
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
@@ -94,7 +94,7 @@ def obstacle(qd: Floats, period: float, width: float) -> str:
     slow, quick = np.quantile(speeds, [0.05, 0.95])
     if quick < SPREAD * slow:
         return (
-            f'the range of speeds from {slow:.2g} to {quick:.2g} rad/s or m/s is too small to '
+            f'the range of speeds from {slow:.2g} to {quick:.2g} rad/s or m/s is too narrow to '
             'distinguish damping from Coulomb friction'
         )
     return ''
@@ -156,29 +156,20 @@ def fit_shape(
         each: np.asarray(np.linalg.qr(np.column_stack([of, residual]), mode='r'))
         for each, of in columns.items()
     }
-    squares, best = _with_load(triangles[width], False)
-    chosen = width
+    squares, best, chosen = math.inf, np.zeros(4), width  # the first trial is always better
     for has_load in (False, True):
         for other, triangle in triangles.items():
-            left, solution = _with_load(triangle, has_load)
+            features = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
+            solution, left = fit_nonnegative(features, triangle[:, -1], [3])
             if left < BETTER * squares and solution[2] < MOST_LOAD:
                 squares, best, chosen = left, solution, other
-    if chosen == width and best[2] == 0.0:
+    damping, coulomb, per_load, offset = best.tolist()
+    if chosen == width and per_load == 0.0:
         return fit
-    unexplained = residual - columns[chosen] @ np.array(best)
+    unexplained = residual - columns[chosen] @ best
     every = np.ones(len(qd), dtype=bool)
     errors = standard_errors(columns[chosen][:, [0, 1, 3]], unexplained, every, window)
-    return FrictionFit(best[0], best[1], best[3], *errors, '', chosen, best[2])
-
-
-def _with_load(
-    triangle: Floats, has_load: bool
-) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squared residual, and damping, Coulomb friction, load friction and offset."""
-    columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
-    factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
-    damping, coulomb, per_load, offset = factors.tolist()
-    return left, (damping, coulomb, per_load, offset)
+    return FrictionFit(damping, coulomb, offset, *errors, '', chosen, per_load)
 
 
 def standard_errors(
@@ -225,8 +216,7 @@ def friction_parameters(
     if armature:
         values['armature'] = armature
     title = (
-        'Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
-        '[N m, N].'
+        'Friction fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction [N m, N].'
     )
     pairs = zip(joint_names, fits, strict=True)
     unknown = {name: fit.unknown_because for name, fit in pairs if fit.unknown_because}

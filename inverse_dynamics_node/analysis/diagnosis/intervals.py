@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...robot.model import Booleans, Floats, Integers, RobotModel
-from ..columns import gravity_columns
+from ...robot.model import Booleans, Floats, Integers
 from .fault import FaultKind
 from .joint_samples import (
     ACCELERATION,
@@ -26,9 +25,10 @@ from .joint_samples import (
     NO_FAULT,
     ONE,
     SPEED,
+    unexplained_fraction,
     WEIGHT,
 )
-from .regression_data import MIN_TILT, RegressionData, RobotFit
+from .regression_data import angle_between, MIN_TILT, RegressionData, RobotFit
 
 SEGMENTS = 40  # number of equal segments; an interval starts and ends at edges of segments
 LONGEST = 0.9  # longest interval, as a fraction of the recording; the rest reveals friction
@@ -65,9 +65,9 @@ class FaultInterval(NamedTuple):
     """Samples outside the interval for an external force, and all samples for other kinds."""
     joints: tuple[int, ...] = ()
     """Indices of the joints on which an external force acts."""
-    knots: Floats | None = None
+    knots: Floats = np.zeros(0)
     """Times at which gravity was fitted, shape (k,) [s]."""
-    gravity: Floats | None = None
+    gravity: Floats = np.zeros((0, 3))
     """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
     left: float = math.nan
     """Fraction of the squared efforts that the fitted gravity leaves unexplained."""
@@ -199,7 +199,7 @@ def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
             continue
         columns = samples.columns
         left = columns[:, data.first_measured + j] - columns[:, MODEL]
-        left = left - fit.damping * columns[:, SPEED] - fit.coulomb * columns[:, DIRECTION]
+        left = left - fit.friction(columns[:, SPEED], columns[:, DIRECTION])
         load = columns[:, LOADS : data.first_measured] @ weights[LOADS:]
         change = (left**2 - (left - load) ** 2) / max(fit.rms**2, 1e-12)
         gain[np.searchsorted(times, samples.times)] += change
@@ -255,7 +255,7 @@ def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionDat
         columns = samples.columns.copy()
         source = data.first_measured + robot_fit.source[j]
         effort = fit.sensor_fault.sign / robot_fit.factor(j) * samples.columns[:, source]
-        effort -= fit.damping * columns[:, SPEED] + fit.coulomb * columns[:, DIRECTION]
+        effort -= fit.friction(columns[:, SPEED], columns[:, DIRECTION])
         effort -= fit.rotor * columns[:, ACCELERATION] + fit.offset
         columns[:, data.first_measured + j] = effort
         joints.append(replace(samples, columns=columns, moves=False))
@@ -292,10 +292,9 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
     gravity, left = _fit_gravity(data, moving, knots)
     if left > most_left:
         return None
+    angles = angle_between(gravity, data.gravity)
+    turns = angle_between(gravity, gravity.mean(axis=0))
     lengths = np.linalg.norm(gravity, axis=1)
-    angles = np.arccos(np.clip(gravity @ data.gravity / (lengths * strength), -1, 1))
-    mean = gravity.mean(axis=0) / np.linalg.norm(gravity.mean(axis=0))
-    turns = np.arccos(np.clip(gravity @ mean / lengths, -1, 1))
     is_small = min(angles.max(), 2.0 * turns.max()) < MIN_TILT
     if is_small or np.abs(lengths / strength - 1.0).max() > STRENGTH:
         return None
@@ -303,8 +302,6 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
     at = np.flatnonzero(tilted)
     # Gravity changes linearly between knots, so the tilt extends to the neighbouring knots.
     interval = float(knots[max(at[0] - 1, 0)]), float(knots[min(at[-1] + 1, count - 1)])
-    if at[0] == 0:
-        interval = float(knots[0]), interval[1]
     robot_fit = data.friction_only()
     return FaultInterval(
         FaultKind.MOUNTING, interval, robot_fit, data, knots=knots, gravity=gravity, left=left
@@ -314,7 +311,7 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
 def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tuple[Floats, float]:
     """Return gravity at the knots, and the unexplained fraction of the squares."""
     count = len(knots)
-    matrices, targets, weights, squares = [], [], [], []
+    matrices, targets, remaining, floors, squares = [], [], [], [], []
     for position, j in enumerate(moving):
         samples = data.joints[j]
         every = max(1, len(samples.times) // MOST_ROWS)
@@ -330,45 +327,28 @@ def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tupl
         # Replace the gravity of the model by the columns for gravity.
         target = measured - columns[:, MODEL] + columns[:, GRAVITY]
         target = target - columns[:, WEIGHT : WEIGHT + 3] @ data.gravity
-        floor = samples.floor(data.first_measured + j) * float(np.mean(measured**2))
+        square = float(np.mean(measured**2))
         fit = samples.fit(data.nominal.weights, data.first_measured + j, NO_FAULT)
         matrices.append(matrix)
         targets.append(target)
-        weights.append(fit.remaining * float(np.mean(measured**2)) + floor)
-        squares.append(float(np.mean(measured**2)))
+        remaining.append(fit.remaining * square)
+        floors.append(samples.floor(data.first_measured + j) * square)
+        squares.append(square)
     prior = np.zeros((6 * count - 3, matrices[0].shape[1]))
     prior[: 3 * count, : 3 * count] = np.eye(3 * count) / GRAVITY_RANGE
     steps = np.eye(3 * count)[3:] - np.eye(3 * count)[:-3]
     prior[3 * count :, : 3 * count] = steps / GRAVITY_STEP
-    change, remaining = np.zeros(prior.shape[1]), np.array(squares)
+    change = np.zeros(prior.shape[1])
     for _ in range(2):
-        rows = [matrix / math.sqrt(w) for matrix, w in zip(matrices, weights, strict=True)]
-        right = [target / math.sqrt(w) for target, w in zip(targets, weights, strict=True)]
+        sizes = np.sqrt(np.add(remaining, floors))
+        rows = [matrix / size for matrix, size in zip(matrices, sizes, strict=True)]
+        right = [target / size for target, size in zip(targets, sizes, strict=True)]
         change = np.linalg.lstsq(
             np.vstack([*rows, prior]), np.concatenate([*right, np.zeros(len(prior))]), rcond=1e-10
         )[0]
-        remaining = np.array(
-            [np.mean((t - m @ change) ** 2) for t, m in zip(targets, matrices, strict=True)]
-        )
-        weights = [
-            float(left + data.joints[j].floor(data.first_measured + j) * square)
-            for left, j, square in zip(remaining, moving, squares, strict=True)
+        remaining = [
+            float(np.mean((t - m @ change) ** 2)) for t, m in zip(targets, matrices, strict=True)
         ]
     gravity: Floats = data.gravity + change[: 3 * count].reshape(count, 3)
-    kinds = np.array([data.joints[j].is_prismatic for j in moving])
-    fractions = [
-        np.sum(remaining[kinds == kind]) / np.sum(np.array(squares)[kinds == kind])
-        for kind in np.unique(kinds)
-    ]
-    return gravity, float(np.mean(fractions))
-
-
-def changing_gravity_efforts(
-    fault: FaultInterval, robot: RobotModel, q: Floats, times: Floats
-) -> Floats:
-    """Return gravity efforts, shape (K, n), with gravity interpolated between the knots."""
-    if fault.knots is None or fault.gravity is None:
-        return np.zeros_like(q)
-    knots, gravity = fault.knots, fault.gravity
-    at_times = np.stack([np.interp(times, knots, component) for component in gravity.T], axis=-1)
-    return np.asarray(np.einsum('knx,kx->kn', gravity_columns(robot, q), at_times))
+    kinds = [data.joints[j].is_prismatic for j in moving]
+    return gravity, unexplained_fraction(remaining, squares, kinds)

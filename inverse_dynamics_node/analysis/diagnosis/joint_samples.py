@@ -89,6 +89,22 @@ class JointFit(NamedTuple):
     offset: float = 0.0
     """Offset of the effort, in the unit of the model [N m or N]."""
 
+    def friction(self, qd: Floats, direction: Floats) -> Floats:
+        """Return the friction at the given velocities and smoothed directions of motion."""
+        return self.damping * qd + self.coulomb * direction
+
+
+def unexplained_fraction(
+    remaining: Sequence[float], squares: Sequence[float], is_prismatic: Sequence[bool]
+) -> float:
+    """Return the remaining fraction of the squared efforts, averaged over both joint types."""
+    left, whole = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+    for part, square, kind in zip(remaining, squares, is_prismatic, strict=True):
+        left[kind] += part
+        whole[kind] += square
+    fractions = [left[kind] / whole[kind] for kind in whole if whole[kind]]
+    return float(np.mean(fractions)) if fractions else math.nan
+
 
 @dataclass
 class JointSamples:
@@ -119,6 +135,13 @@ class JointSamples:
         mean = float(self.triangle[:, MODEL] @ self.triangle[:, ONE])
         variance = float(self.squares[MODEL]) - mean**2
         return self.moves or variance > MIN_VARIATION**2 * float(self.squares[MODEL])
+
+    def without_friction(self, columns: Floats) -> Floats:
+        """Remove all that friction can explain from columns of the triangular factor."""
+        if not self.moves:
+            return columns
+        Q = np.linalg.qr(self.triangle[:, [SPEED, DIRECTION]])[0]
+        return np.asarray(columns - Q @ (Q.T @ columns))
 
     def floor(self, measured: int) -> float:
         """Return the fraction of the squared effort that needs no explanation."""
@@ -210,15 +233,13 @@ class JointSamples:
 
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
         """Return whether friction alone explains as much as a fit with this sign and scale."""
-        sensor_fault = fit.sensor_fault
-        # Friction that accelerates the joint reveals a wrong sign even without the model.
-        if sensor_fault.is_swapped and self._needs_no_model(
-            measured, sensor_fault._replace(is_swapped=False, is_scaled=False), fit.remaining
-        ):
+        fault = fit.sensor_fault
+        unscaled = fault._replace(is_scaled=False)
+        if fault.is_scaled and self._needs_no_model(measured, unscaled, fit.remaining):
             return True
-        return sensor_fault.is_scaled and self._needs_no_model(
-            measured, sensor_fault._replace(is_scaled=False), fit.remaining
-        )
+        # Friction that accelerates the joint reveals a wrong sign even without the model.
+        upright = unscaled._replace(is_swapped=False)
+        return fault.is_swapped and self._needs_no_model(measured, upright, fit.remaining)
 
     def _needs_no_model(
         self,
@@ -232,58 +253,51 @@ class JointSamples:
         return without <= 2.0 * remaining + tolerance
 
 
-class JointSignals(NamedTuple):
-    """Signals of c joints of a robot at K times."""
-
-    joints: Sequence[int]
-    """Indices of the c joints in ``robot.joint_names``."""
-    measured: Floats
-    """Measured efforts, shape (K, c) [N m or N]."""
-    modelled: Floats
-    """Modelled efforts before friction is fitted, shape (K, c) [N m or N]."""
-    gravity: Floats
-    """Modelled efforts of gravity, shape (K, c) [N m or N]."""
-    direction: Floats
-    """Smoothed directions of motion, shape (K, c); see `direction_of`."""
-    used: Sequence[Booleans]
-    """Mask of the compared samples of each joint, shape (K,)."""
-    moves: Sequence[bool]
-    """Whether the friction of each joint can be identified."""
-    noise: Floats
-    """Standard deviation of the noise of the efforts, shape (c,) [N m or N]."""
-
-
 def sample_joints(
     dynamics: InverseDynamics,
     times: Floats,
     states: tuple[Floats, Floats, Floats],
-    signals: JointSignals,
     links: Sequence[str],
+    joints: Sequence[int],
+    *,
+    measured: Floats,
+    modelled: Floats,
+    gravity: Floats,
+    direction: Floats,
+    used: Sequence[Booleans],
+    moves: Sequence[bool],
+    noise: Floats,
 ) -> list[JointSamples]:
-    """Return the samples of each joint in `signals`, with columns for loads on the given links."""
+    """
+    Return the samples of c joints at K times, with columns for loads on the given links.
+
+    `joints` contains indices in ``robot.joint_names``. `measured`, `modelled` (before friction is
+    fitted) and `gravity` are efforts, and `direction` is the smoothed direction of motion, each of
+    shape (K, c). `used` contains a mask of the compared samples of each joint. `moves` says
+    whether the friction of each joint can be identified. `noise` is the standard deviation of the
+    noise of the efforts, shape (c,) [N m or N].
+    """
     robot = dynamics.robot
     q, qd, qdd = states
     weight = gravity_columns(robot, q)
     loads = [payload_columns(robot, dynamics.gravity, link, states) for link in links]
     samples = []
-    for c, i in enumerate(signals.joints):
+    for c, i in enumerate(joints):
         columns = np.column_stack(
             [
-                signals.modelled[:, c],
-                signals.gravity[:, c],
+                modelled[:, c],
+                gravity[:, c],
                 weight[:, i],
                 qdd[:, i],
                 qd[:, i],
-                signals.direction[:, c],
+                direction[:, c],
                 np.ones(len(q)),
                 *(load[:, i] for load in loads),
-                signals.measured,
+                measured,
             ]
         )
-        used, is_prismatic = signals.used[c], bool(robot.is_prismatic_joint[i])
+        own, is_prismatic = used[c], bool(robot.is_prismatic_joint[i])
         samples.append(
-            JointSamples(
-                columns[used], times[used], signals.moves[c], float(signals.noise[c]), is_prismatic
-            )
+            JointSamples(columns[own], times[own], moves[c], float(noise[c]), is_prismatic)
         )
     return samples

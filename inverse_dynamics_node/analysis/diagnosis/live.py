@@ -1,5 +1,5 @@
 """
-Compares measured and modelled efforts of the last seconds, for `watch`.
+Compares measured and modelled efforts of the last few seconds, for `watch`.
 
 The search for faults is the same as for recordings, except that delays and several wrong links are
 not considered. A few seconds of filtered samples cannot distinguish delays or wrong links from
@@ -19,7 +19,6 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
-from ..columns import direction_of
 from ..recordings.signals import rms
 from .compared_efforts import not_measured
 from .diagnoses import (
@@ -31,7 +30,7 @@ from .diagnoses import (
 )
 from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import is_moving, lacks_reversal
-from .joint_samples import JointSignals, NOISE_FLOOR, sample_joints
+from .joint_samples import NOISE_FLOOR, sample_joints
 from .loads import loaded_links
 from .regression_data import RegressionData, RobotFit
 
@@ -287,16 +286,15 @@ class _Comparison:
         robot, q = self.dynamics.robot, self.whole.q
         if positions := diagnose_positions(robot, q, self.whole.joint_names):
             return replace(common, outcome=Outcome.DIFFER, faults=tuple(positions))
-        faults, left = self._search()
-        if not faults and self._may_be_friction(left):
-            unexplained = (self._unexplained(left),)
+        known, left = self._search()
+        unexplained = [self._unexplained(left)] if left else []
+        faults = (*known, *unexplained)
+        if not known and self._may_be_friction(left):
             return replace(
-                common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.AT_REST, faults=unexplained
+                common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.AT_REST, faults=faults
             )
-        if left:
-            faults.append(self._unexplained(left))
         if faults:
-            return replace(common, outcome=Outcome.DIFFER, faults=tuple(faults))
+            return replace(common, outcome=Outcome.DIFFER, faults=faults)
         if not self.is_checked.any():
             return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.SMALL_EFFORTS)
         return common
@@ -329,8 +327,7 @@ class _Comparison:
             modelled = np.maximum(modelled, rms(gravity[:, self.index]))
         for kind in (False, True):
             same = self.is_prismatic == kind
-            if same.any():
-                largest[same] = np.max(modelled[same])
+            largest[same] = np.max(modelled[same], initial=0.0)
         floor = np.minimum(FLOOR_OF_LIMIT * self.limits, FLOOR_OF_LARGEST * largest)
         finite = np.where(np.isfinite(self.limits), self.limits, 0.0)
         floor = np.maximum(floor, LEAST_FLOOR * finite)
@@ -358,21 +355,24 @@ class _Comparison:
             not lacks_reversal(speed, period, FRICTION_WIDTH, LEAST_MOVING * duration)
             for speed in speeds.T
         ]
-        signals = JointSignals(
+        links = loaded_links(robot, q)
+        joints = sample_joints(
+            self.dynamics,
+            times[some],
+            states,
+            links,
             index.tolist(),
-            signs * self.measured[some, self.searched],
-            modelled,
-            self.dynamics.gravity_efforts(states[0])[:, index],
-            direction_of(speeds[some], FRICTION_WIDTH),
-            [
+            measured=signs * self.measured[some, self.searched],
+            modelled=modelled,
+            gravity=self.dynamics.gravity_efforts(states[0])[:, index],
+            direction=np.tanh(speeds[some] / FRICTION_WIDTH),
+            used=[
                 is_moving(speed[some], FRICTION_WIDTH) | (not moved)
                 for speed, moved in zip(speeds.T, moves, strict=True)
             ],
-            moves,
-            self.floor[self.searched] / NOISE_FLOOR,
+            moves=moves,
+            noise=self.floor[self.searched] / NOISE_FLOOR,
         )
-        links = loaded_links(robot, q)
-        joints = sample_joints(self.dynamics, times[some], states, signals, links)
         # A payload in the node may be heavier than the link that carries the payload.
         heaviest = float(np.sum(robot.mass))
         return RegressionData(
@@ -490,12 +490,12 @@ def check_agreement(
     payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
-    Check whether model and robot agreed in the last seconds.
+    Check whether model and robot agreed in the last few seconds.
 
     `reason` says why the node does not compute efforts, and is empty if the node computes efforts.
     `samples` and `robot` are None if the robot is unknown. `saturated` contains the commanded
-    joints with efforts that reached the effort limits in the last seconds. `diagnose_samples`
-    describes the other arguments.
+    joints with efforts that reached the effort limits in the last few seconds. The other arguments
+    are those of `diagnose_samples`.
     """
     if reason:
         return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
@@ -538,11 +538,8 @@ def _completed(
 ) -> Agreement:
     """Add unmeasured and saturated joints, and check that enough joints were checked."""
     compared = (*agreement.checked, *agreement.unchecked)
-    agreement = replace(agreement, saturated=tuple(saturated))
-    if not compared:
-        return agreement
-    unmeasured = tuple(joint for joint in commanded if joint not in compared)
-    agreement = replace(agreement, unmeasured=unmeasured)
+    unmeasured = tuple(joint for joint in commanded if compared and joint not in compared)
+    agreement = replace(agreement, saturated=tuple(saturated), unmeasured=unmeasured)
     count = len(set(commanded) & set(agreement.checked))
     if agreement.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
         numbers = (float(count), float(len(commanded)))

@@ -89,7 +89,7 @@ def fit_payload(
         return np.vstack([regressors @ moments.T, np.eye(4)[1:] / USUAL_REACH])
 
     scale = [max(abs(mass), 0.1), 0.1, 0.1, 0.1]
-    found = least_squares(remaining, start, derivatives, x_scale=scale)
+    found = least_squares(remaining, start, derivatives, method='lm', x_scale=scale)
     variance = 2.0 * found.cost / max(sample_count - 4.0, 1.0)
     covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12) * variance
     # A parameter without effect is unknown, but the formula gives a standard error of zero.

@@ -24,14 +24,13 @@ from .compared_efforts import (
     fit_joints,
     friction_efforts,
     obscured,
-    with_friction_only,
     with_shapes,
 )
 from .diagnoses import (
     Axes,
+    decreases,
     diagnose,
     diagnose_axes,
-    diagnose_bodies,
     diagnose_constant,
     diagnose_interval,
     diagnose_positions,
@@ -40,6 +39,7 @@ from .diagnoses import (
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import FrictionFit, is_moving
 from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
+from .joint_samples import unexplained_fraction
 from .regression_data import RegressionData, RobotFit
 
 REVERSED = 0.7  # with fitted links, reversed axes leave at most this fraction of the squares
@@ -127,13 +127,11 @@ class ComparisonResult:
         return self._mean([joint.rms_corrected for joint in self.joints])
 
     def _mean(self, residuals: list[float]) -> float:
-        measured, remaining = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
-        for c in self.moving:
-            joint = self.joints[c]
-            measured[joint.is_prismatic] += joint.rms_measured**2
-            remaining[joint.is_prismatic] += residuals[c] ** 2
-        fractions = [1.0 - remaining[kind] / measured[kind] for kind in measured if measured[kind]]
-        return float(np.mean(fractions)) if fractions else math.nan
+        return 1.0 - unexplained_fraction(
+            [residuals[c] ** 2 for c in self.moving],
+            [self.joints[c].rms_measured ** 2 for c in self.moving],
+            [self.joints[c].is_prismatic for c in self.moving],
+        )
 
 
 def diagnose_recording(
@@ -169,8 +167,8 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     unknown = [name for name in names if name not in robot.joint_names]
     if unknown:
         raise RecordingError(
-            f"the recording has joint '{unknown[0]}', expected only joints of robot "
-            f"'{robot.name}': {', '.join(robot.joint_names)}"
+            f"the recording has joint '{unknown[0]}', which robot '{robot.name}' does not have; "
+            f'expected only {", ".join(robot.joint_names)}'
         )
     if len(set(names)) != len(names):
         raise RecordingError(f'the recording lists a joint twice: {", ".join(names)}')
@@ -198,13 +196,13 @@ def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
         used if fit.unknown_because else used & is_moving(recorded.qd[:, c], recorded.width)
         for c, fit in enumerate(fits)
     ]
-    rubbing = with_friction_only(recorded)
+    plain = fit_joints(recorded, recorded.measured - recorded.rigid, {})
     moving = [c for c in recorded.varying if recorded.moves(c)]
     return ComparisonResult(
         motion=recorded.motion,
         compared=tuple(recorded.compared),
         joints=tuple(
-            _joint_residual(recorded, c, fits[c], rubbing[:, c], corrected[:, c], when[c])
+            _joint_residual(recorded, c, fits[c], plain[c], corrected[:, c], when[c])
             for c in range(len(fits))
         ),
         measured=recorded.measured,
@@ -260,12 +258,10 @@ def _search(recorded: ComparedEfforts) -> _Found:
         late = compared.regression_data()
         robot_fit = late.explain()
         faults.append(Fault(FaultKind.DELAY, values=(delay,)))
-    found = _beside_links(compared, late, robot_fit)
-    return found._replace(
-        faults=(*silent, *faults, *found.faults),
-        signs=_of_motion(recorded, axes.signs),
-        delay=delay,
-    )
+    late, robot_fit, others, interval = _beside_links(compared, late, robot_fit)
+    faults = [*silent, *faults, *others]
+    signs = _of_motion(recorded, axes.signs)
+    return _Found(compared, late, robot_fit, tuple(faults), signs, delay, interval)
 
 
 def _confirmed(
@@ -299,13 +295,15 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
 
 
 def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Extend the signs of varying joints to all joints of the motion."""
+    """Return signs for all joints of the motion; joints without varying efforts have sign 1."""
     every = np.ones(len(compared.motion.joint_names))
     every[[compared.compared[c] for c in compared.varying]] = signs
     return every
 
 
-def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
+def _beside_links(
+    compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
+) -> tuple[RegressionData, RobotFit, list[Fault], FaultInterval | None]:
     """Explain the efforts, if necessary by wrong links or a temporary cause."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
@@ -317,14 +315,16 @@ def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: Ro
         robot_fit = data.refit(bodies.robot_fit)
         fault = bodies.confirmed(find_fault_interval(data, robot_fit))
         if bodies.are_wrong:
-            faults = [diagnose_bodies(bodies, data, names)]
+            changes = decreases(data, names, bodies.before, bodies.after)
+            faults = [Fault(FaultKind.BODIES, changes=changes)]
     if fault is not None:
         fault = _refined(nearer, fault)
         data, robot_fit = fault.data, fault.outside
     if compared.varying and (fault is None or fault.kind is FaultKind.EXTERNAL_FORCE):
         faults = diagnose(data, robot_fit, names) + faults
-    limited = [] if fault is None else [diagnose_interval(fault, names)]
-    return _Found(compared, data, robot_fit, (*limited, *faults), np.zeros(0), 0.0, fault)
+    if fault is not None:
+        faults.insert(0, diagnose_interval(fault, names))
+    return data, robot_fit, faults, fault
 
 
 def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
@@ -342,7 +342,7 @@ def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
         if not fit.moves or (is_force and j not in fault.joints):
             continue
         left = measured[:, c] - efforts[:, c] - fit.offset
-        left -= fit.damping * compared.qd[:, c] + fit.coulomb * compared.direction[:, c]
+        left -= fit.friction(compared.qd[:, c], compared.direction[:, c])
         variance = max((fit.rms / fault.outside.factor(j)) ** 2, 1e-12)
         after = MUCH_LOUDER * variance if is_force else (left - load[:, c]) ** 2
         gain += (left**2 - after) / variance
@@ -353,21 +353,23 @@ def _joint_residual(
     compared: ComparedEfforts,
     c: int,
     friction: FrictionFit,
-    rubbing: Floats,
+    plain: FrictionFit,
     corrected: Floats,
     when: Booleans,
 ) -> JointResidual:
+    """Compare selected samples of one joint; `plain` is the friction without any faults."""
     measured, modelled = compared.measured[when, c], compared.modelled[when, c]
+    rubbing = plain.friction(compared.qd[when, c], compared.direction[when, c])
     is_varying = c in compared.varying
     has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
     scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
     return JointResidual(
         name=compared.names[c],
-        is_prismatic=compared.is_prismatic(c),
+        is_prismatic=bool(compared.robot.is_prismatic_joint[compared.index[c]]),
         rms_measured=float(rms(measured)),
         rms_modelled=float(rms(modelled)),
         rms_residual=float(rms(measured - modelled)),
-        rms_friction=float(rms(measured - rubbing[when])),
+        rms_friction=float(rms(measured - compared.rigid[when, c] - rubbing)),
         rms_corrected=float(rms(measured - corrected[when])),
         noise=math.nan if math.isfinite(compared.motion.cut_off) else float(compared.noise[c]),
         scale=float(scale),

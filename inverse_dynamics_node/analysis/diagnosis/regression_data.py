@@ -23,7 +23,6 @@ from .joint_samples import (
     ACCELERATION,
     ANOTHER_UNIT,
     CREDIBLE,
-    DIRECTION,
     GRAVITY,
     JointFit,
     JointSamples,
@@ -33,7 +32,7 @@ from .joint_samples import (
     ONE,
     PARAMETER_COST,
     SensorFault,
-    SPEED,
+    unexplained_fraction,
     WEIGHT,
 )
 from .loads import fit_payload, MAX_REACH, PARAMETERS, point_mass_parameters
@@ -50,6 +49,12 @@ GRAVITY_KINDS = FaultKind.GRAVITY_COMPENSATED, FaultKind.GRAVITY_MEASURED
 STRENGTH = 0.02  # largest relative error of the magnitude of gravity in a fitted mounting
 MIN_TILT = math.radians(3.0)
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
+
+
+def angle_between(vectors: Floats, other: Floats) -> Floats:
+    """Return the angle of each vector, shape (..., 3), to another vector [rad]."""
+    lengths = np.linalg.norm(vectors, axis=-1) * np.linalg.norm(other)
+    return np.asarray(np.arccos(np.clip(vectors @ other / lengths, -1.0, 1.0)))
 
 
 class CandidateModel(NamedTuple):
@@ -133,8 +138,7 @@ class RegressionData:
         self.duration, self.least_duration = duration, least_duration
         self.first_measured = LOADS + PARAMETERS * len(links)
         self.convention, self.has_gravity = convention, convention.in_measured
-        weights = self._weights({MODEL: 1.0})
-        self.nominal = CandidateModel(None, weights, 0, has_gravity=self.has_gravity)
+        self.nominal = CandidateModel(None, self._weights(), 0, has_gravity=self.has_gravity)
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
         """Return the same data with the given samples, which represent `duration` [s]."""
@@ -265,25 +269,20 @@ class RegressionData:
 
     def unexplained(self, robot_fit: RobotFit) -> float:
         """Return the unexplained fraction of squared efforts, averaged over both joint types."""
-        remaining = {False: 0.0, True: 0.0}
-        squares = {False: 0.0, True: 0.0}
-        for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
-            # The effort of a joint at rest also contains unknown dry friction.
-            if not (samples.moves or self.is_at_rest):
-                continue
-            square = self.square(robot_fit, j)
-            remaining[samples.is_prismatic] += fit.remaining * square
-            squares[samples.is_prismatic] += square
-        return float(
-            np.mean([remaining[kind] / squares[kind] for kind in squares if squares[kind]])
-        )
+        # The effort of a joint at rest also contains unknown dry friction.
+        used = [j for j, samples in enumerate(self.joints) if samples.moves or self.is_at_rest]
+        squares = [self.square(robot_fit, j) for j in used]
+        remaining = [
+            robot_fit.fits[j].remaining * square for j, square in zip(used, squares, strict=True)
+        ]
+        kinds = [self.joints[j].is_prismatic for j in used]
+        return unexplained_fraction(remaining, squares, kinds)
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
         """Return whether the fit leaves hardly any effort of gravity."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
-            gravity, target = samples.triangle[:, GRAVITY], self._target(j, robot_fit)
             floor, modelled = self.floor(robot_fit, j), samples.squares[MODEL]
             if not self.has_gravity:
                 modelled = modelled + samples.squares[GRAVITY]
@@ -293,9 +292,8 @@ class RegressionData:
             if is_heavy and fit.remaining > max(CREDIBLE, floor):
                 return False
             is_shown = is_shown or bool(is_heavy)
-            if samples.moves:
-                friction = np.linalg.qr(samples.triangle[:, [SPEED, DIRECTION]])[0]
-                gravity, target = (x - friction @ (friction.T @ x) for x in (gravity, target))
+            gravity = samples.without_friction(samples.triangle[:, GRAVITY])
+            target = samples.without_friction(self._target(j, robot_fit))
             variance = (fit.remaining + floor) * self.square(robot_fit, j)
             numerator += float(gravity @ target) / variance
             denominator += float(np.sum(gravity**2)) / variance
@@ -352,16 +350,16 @@ class RegressionData:
                     factors.append(scaled.scale)
         return factors
 
-    def _weights(self, values: dict[int, float]) -> Floats:
+    def _weights(self, gravity: float = 0.0) -> Floats:
+        """Return the weights of the model, with a multiple of its gravity added."""
         weights = np.zeros(self.first_measured)
-        for column, value in values.items():
-            weights[column] = value
+        weights[MODEL], weights[GRAVITY] = 1.0, gravity
         return weights
 
     def other_gravity(self) -> CandidateModel:
         """Return the model with the opposite convention for gravity."""
         kind = GRAVITY_KINDS[not self.has_gravity]
-        weights = self._weights({MODEL: 1.0, GRAVITY: -1.0 if self.has_gravity else 1.0})
+        weights = self._weights(-1.0 if self.has_gravity else 1.0)
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
 
     def contradicts(self, candidate: CandidateModel) -> bool:
@@ -400,31 +398,24 @@ class RegressionData:
         if the units of all efforts are unknown.
         """
         stacked, targets = [], []
+        candidate = self.nominal._replace(weights=fixed)
+        robot_fit = RobotFit(candidate, tuple(fits), tuple(range(len(fits))))
         for j, (samples, fit) in enumerate(zip(self.joints, fits, strict=True)):
             if fit.sensor_fault.is_scaled:
                 continue  # the unit of this joint is unknown
-            R = samples.triangle
-            columns = R[:, : self.first_measured]
-            target = fit.sensor_fault.sign * R[:, self.first_measured + j] - columns @ fixed
-            target = target - fit.rotor * R[:, ACCELERATION] - fit.offset * R[:, ONE]
-            if samples.moves:
-                Q = np.linalg.qr(R[:, [SPEED, DIRECTION]])[0]
-                target = target - Q @ (Q.T @ target)
-                columns = columns - Q @ (Q.T @ columns)
             # Joints with a good fit have more weight.
-            variance = min(fit.remaining, 1.0) + samples.floor(self.first_measured + j)
-            variance *= samples.squares[self.first_measured + j]
-            weight = math.sqrt(self.sample_count / variance)
-            stacked.append(weight * columns)
-            targets.append(weight * target)
+            variance = min(fit.remaining, 1.0) + self.floor(robot_fit, j)
+            weight = math.sqrt(self.sample_count / (variance * self.square(robot_fit, j)))
+            columns = samples.triangle[:, : self.first_measured]
+            stacked.append(weight * samples.without_friction(columns))
+            targets.append(weight * samples.without_friction(self._target(j, robot_fit)))
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
     def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
         """Fit gravity, and return None unless gravity is tilted."""
         if not self.has_gravity:
             return None
-        fixed = self._weights({MODEL: 1.0, GRAVITY: -1.0})
-        rows = self._rows(fits, fixed)
+        rows = self._rows(fits, self._weights(-1.0))
         if rows is None:
             return None
         regressors = rows[0][:, WEIGHT : WEIGHT + 3]
@@ -437,11 +428,11 @@ class RegressionData:
         # The mounting does not change the magnitude of gravity.
         if g_0 == 0.0 or abs(g / g_0 - 1.0) > STRENGTH:
             return False
-        return math.acos(np.clip(gravity @ self.gravity / (g * g_0), -1.0, 1.0)) > MIN_TILT
+        return bool(angle_between(gravity, self.gravity) > MIN_TILT)
 
     def mounted(self, gravity: Floats) -> CandidateModel:
         """Return the model with this gravity in the frame of the base link [m/s^2]."""
-        weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
+        weights = self._weights(-1.0)
         weights[WEIGHT : WEIGHT + 3] = gravity
         return CandidateModel(FaultKind.MOUNTING, weights, 3, solution=tuple(gravity.tolist()))
 

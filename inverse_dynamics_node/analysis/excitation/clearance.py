@@ -38,7 +38,7 @@ _MOST_LOOKS = 40
 _UNSEEN = 0.005
 """Subtracted from the smallest sampled distance if the surfaces are never close [m]."""
 _ON_THE_WAY = 0.005
-"""Links that are too close at the start of a path may approach by this distance [m]."""
+"""If links are too close at the start of a path, they may approach by this distance [m]."""
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
@@ -139,8 +139,7 @@ class Clearance:
             distance, normal = _of_box(points, low, high)
             distance -= radii[k]
             parts.append(Contacts(pose, first + k, distance, _twice(points), normal))
-        found = _joined(parts)
-        pose, row, distance, points, normal = found
+        pose, row, distance, points, normal = _joined(parts)
         near = distance < limit[row]
         return Contacts(pose[near], row[near], distance[near], points[near], normal[near])
 
@@ -186,11 +185,11 @@ class Clearance:
         self, q: Floats, aim: float = 1.0, is_way: bool = False
     ) -> tuple[Floats, Floats]:
         """
-        Return the violation of each pose, and the gradient of shape (poses, joints).
+        Return the violation in each pose, and its gradient, shape (poses, joints).
 
-        The violation is the sum of the squared missing distances, in units of `_SCALE`. The search
-        aims at the fraction `aim` of the limits. If the poses form a path (`is_way`), links that
-        are too close in the first pose must move apart gradually.
+        The violation is the sum of (missing distance / `_SCALE`)^2. An `aim` below 1 adds
+        (1 - aim) * `_SCALE` to each least distance. If the poses form a path (`is_way`), links
+        that are too close in the first pose must move apart gradually.
 
         """
         margin = (1.0 - aim) * _SCALE

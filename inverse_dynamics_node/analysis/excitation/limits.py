@@ -26,13 +26,13 @@ FRACTION = 0.8
 ASSUMED_SPEED = (1.0, 0.25)
 """Assumed speed limits of a revolute joint [rad/s] and of a prismatic joint [m/s]."""
 ASSUMED_SLIDE = 1.0
-"""Assumed range of a prismatic joint without position limits [m]."""
+"""Assumed length of the range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
-"""A joint with a smaller range does not move [rad or m]."""
+"""Joints whose range is smaller than this do not move [rad or m]."""
 _POSES = 400
-"""Number of random poses that show which links may come near each other."""
+"""Number of random poses that are used to find links that may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A light joint carries less than this mass [kg] and this fraction of the moving mass."""
+"""A light joint carries less than both this mass [kg] and this fraction of the moving mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ def motion_limits(
     for name, position in (rest or {}).items():
         positions[robot.joint_indices([name])[0]] = position
     still = {  # joints that cannot move, with the reason
-        name: f'its range is {low:g} to {high:g}'
+        name: f'its range is only {low:g} to {high:g}'
         for name, low, high in zip(robot.joint_names, lower, upper, strict=True)
         if high - low < _LEAST_RANGE
     }
@@ -125,21 +125,19 @@ def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Float
     unbounded = slides & ~(np.isfinite(lower) & np.isfinite(upper))
     start = np.where(np.isfinite(lower), lower, -0.5 * ASSUMED_SLIDE)
     start = np.where(np.isfinite(upper), upper - ASSUMED_SLIDE, start)
-    lower, upper = (
-        np.where(unbounded, ends, given)
-        for ends, given in ((start, lower), (start + ASSUMED_SLIDE, upper))
-    )
+    lower = np.where(unbounded, start, lower)
+    upper = np.where(unbounded, start + ASSUMED_SLIDE, upper)
     middle, half = 0.5 * (lower + upper), 0.5 * fraction * (upper - lower)
     assumed = np.where(slides, ASSUMED_SPEED[1], ASSUMED_SPEED[0])
     speeds = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, assumed)
     endless = ~slides & ~(robot.upper - robot.lower <= 2.0 * math.pi)
     for condition, words in (
         (endless, 'joints with a range of more than one turn move within one turn'),
-        (unbounded, f'joints without position limits move within {ASSUMED_SLIDE:g} m'),
+        (unbounded, f'joints without position limits move within a range of {ASSUMED_SLIDE:g} m'),
         (
             ~np.isfinite(robot.velocity_limits),
-            f'joints without a speed limit have an assumed limit of {ASSUMED_SPEED[0]:g} rad/s '
-            f'(prismatic joints: {ASSUMED_SPEED[1]:g} m/s)',
+            f'a speed limit of {ASSUMED_SPEED[0]:g} rad/s (prismatic joints: '
+            f'{ASSUMED_SPEED[1]:g} m/s) is assumed for joints without a limit',
         ),
     ):
         found = [robot.joint_names[i] for i in np.flatnonzero(condition)]
@@ -152,7 +150,7 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
     name, unit = robot.joint_names[i], 'm' if robot.is_prismatic_joint[i] else 'rad'
     if not (math.isfinite(low) and math.isfinite(high) and high - low >= _LEAST_RANGE):
         raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected an upper "
+            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected the upper "
             'end above the lower end'
         )
     if low < robot.lower[i] or high > robot.upper[i]:
@@ -170,7 +168,7 @@ def _light(robot: RobotModel) -> dict[str, str]:
     of_joints = np.bincount(robot.joint_index[1:], carried[1:], len(robot.joint_names))
     least = min(_LIGHT[0], _LIGHT[1] * float(robot.mass[1:].sum()))
     return {
-        robot.joint_names[i]: f'it carries {of_joints[i]:.2g} kg; use --joints to move it'
+        robot.joint_names[i]: f'it carries only {of_joints[i]:.2g} kg'
         for i in np.flatnonzero(of_joints < least)
     }
 
@@ -198,7 +196,9 @@ def _chosen(
         )
     left_out = [f'{name} ({still[name]})' for name in robot.joint_names if name in still]
     if left_out and not joints:
-        notes.append(f'joints that do not move: {listed(left_out)}')
+        has_light = any(name in light and still[name] == light[name] for name in still)
+        hint = '; to move a light joint, name it in --joints' if has_light else ''
+        notes.append(f'joints that do not move: {listed(left_out)}{hint}')
     return names
 
 
@@ -220,8 +220,7 @@ def whole_states(limits: MotionLimits, states: States) -> States:
     """Extend states of the moving joints to all joints of the robot, shape (states, joints)."""
     q = whole_positions(limits, states.q)
     whole = States(q, np.zeros_like(q), np.zeros_like(q))
-    for part, values in zip(whole[1:], states[1:], strict=True):
-        part[:, limits.index] = values
+    whole.qd[:, limits.index], whole.qdd[:, limits.index] = states.qd, states.qdd
     return whole
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 import math
 
 import numpy as np
@@ -43,7 +44,7 @@ _FINE = 8
 _DENSER = 4
 """Number of poses that are checked for collisions per sample of the search."""
 _COARSE, _SHRINKING = 8, 0.95
-"""Interval of states in coarse checks, and factor that shrinks a motion after a failed check."""
+"""Coarse checks use one in this many states. A failed check multiplies a motion by the factor."""
 _WAY = 60
 """Number of poses that the search checks on the path to the start of a motion."""
 CANDIDATES = 30
@@ -51,7 +52,7 @@ CANDIDATES = 30
 _POSES = 300
 """Number of random poses. The drives must be able to hold at least one pose."""
 _NEARLY_ALL = 0.9
-"""If the floor is above more than this fraction of poses, the floor is probably too high."""
+"""If more than this fraction of poses reach below the floor, the floor is probably too high."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Penalty weight and number of iterations of each round."""
 _LARGEST_WORK = 1.5e9
@@ -60,7 +61,7 @@ _FEWEST_ITERATIONS = 5
 _AIM = 0.99
 """Fraction of the limits that the search aims at, because penalties permit small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
-"""Smaller fractions of the limits that are tried if the result violates a limit."""
+"""Smaller fractions of the limits, which are tried if the result violates a limit."""
 _OF_REPAIR = (1e5, 30)
 """Penalty weight and number of iterations of each repair."""
 _LEAST_NOISE = 1e-6
@@ -108,7 +109,7 @@ def find_excitation(
 
     """
     if not 0.0 < duration < math.inf:
-        raise ConfigurationError(f'duration is {duration!r}, expected a time above 0 [s]')
+        raise ConfigurationError(f'duration is {duration!r}, expected a finite time above 0 s')
     if harmonics < 2:
         raise ConfigurationError(f'harmonics is {harmonics}, expected at least 2')
     motions = MotionSpace(dynamics, limits, duration, harmonics)
@@ -136,7 +137,7 @@ def find_excitation(
             )
     raise ConfigurationError(
         'every motion that was tried leads to a collision, either during the motion or on the way '
-        'to its start: use --range to restrict the motion, or --at to set the initial pose'
+        'to its start; use --range to restrict the motion, or --at to set the initial pose'
     )
 
 
@@ -156,9 +157,10 @@ class MotionSpace:
         self.shape = len(limits.index), 2 * harmonics - 1
         count = _PER_HARMONIC * harmonics
         # The end is left out, because the end equals the start.
-        self.basis = basis(_even_times(count, duration), duration, harmonics)
-        self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
-        self._pose_basis = basis(_even_times(_DENSER * count, duration), duration, harmonics)[0]
+        self.basis, self._fine_basis, (self._pose_basis, _, _) = (
+            basis(np.linspace(0.0, duration, k * count, endpoint=False), duration, harmonics)
+            for k in (1, _FINE, _DENSER)
+        )
 
     def coefficients(self, x: Floats) -> Floats:
         """Return the coefficients of the `FourierSeries` of a motion."""
@@ -213,14 +215,15 @@ class MotionSpace:
         missing, of_poses = clearance.violation(whole_positions(self.limits, q), aim)
         on_way, of_way = clearance.violation(self.way_to(q[0], _WAY), aim, is_way=True)
         slopes = of_poses[:, index] / len(q)
-        slopes[0] += _even_times(_WAY, 1.0) @ of_way[:, index] / _WAY
+        slopes[0] += np.linspace(0.0, 1.0, _WAY, endpoint=False) @ of_way[:, index] / _WAY
         of_coefficients: Floats = slopes.T @ self._pose_basis
         return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
         """Return poses on the straight path from rest to a start pose, shape (count, joints)."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
-        return np.asarray(rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest))
+        places = np.linspace(0.0, 1.0, count, endpoint=False)
+        return np.asarray(rest + places[:, np.newaxis] * (end - rest))
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
         """Draw random motions that are as large as the limits permit."""
@@ -270,19 +273,14 @@ class MotionSpace:
         """Return poses within the limits, relative to the middle and half width of the ranges."""
         poses = rng.uniform(-0.5, 0.5, (_POSES, self.shape[0]))
         poses[0] = 0.0
-        zeros = np.zeros_like(poses)
         q = self.limits.middle + self.limits.half * poses
-        beyond = excess(self.dynamics, self.limits, States(q, zeros, zeros))
-        held = np.flatnonzero(~beyond.any(axis=1))
-        found = []
-        for k in held:
-            if self._is_clear(q[k : k + 1]):
-                found.append(poses[k])
-            if len(found) == CANDIDATES:
-                break
+        states = States(q, np.zeros_like(q), np.zeros_like(q))
+        held = np.flatnonzero(~excess(self.dynamics, self.limits, states).any(axis=1))
+        clear = (k for k in held if self._is_clear(q[k : k + 1]))
+        found = list(islice(clear, CANDIDATES))
         if not found:
-            raise ConfigurationError(self._why(States(q, zeros, zeros), held))
-        return np.array(found)
+            raise ConfigurationError(self._why(states, held))
+        return np.asarray(poses[found])
 
     def _why(self, states: States, held: Integers) -> str:
         """Explain why no pose keeps all limits; `held` are poses that the drives can hold."""
@@ -293,29 +291,30 @@ class MotionSpace:
         least = np.min(efforts, axis=0)
         names = self.dynamics.robot.joint_names
         weak = [
-            f"'{names[i]}' needs {least[i]:.3g} N m or N, but may use {limits.efforts[i]:.3g}"
+            f"'{names[i]}' needs at least {least[i]:.3g}, limit {limits.efforts[i]:.3g}"
             for i in np.flatnonzero(least > limits.efforts)
         ]
-        reason = listed(weak, 4) if weak else 'widen the ranges'
-        return f'no sampled pose is within the effort limits: {reason}'
+        reason = f' [N m, N]: {listed(weak, 4)}' if weak else '; widen the ranges'
+        return f'no sampled pose is within the effort limits{reason}'
 
     def _why_not_clear(self, poses: Floats) -> str:
         """Explain why no pose keeps the least distances."""
-        said, clearance = f'none of {len(poses)} sampled poses is clear', self.limits.clearance
+        clearance = self.limits.clearance
         assert clearance
         found = clearance.contacts(poses)
         is_floor = [clearance.names(row)[1] == 'floor' for row in found.row.tolist()]
         below = len(np.unique(found.pose[is_floor]))
         if below < _NEARLY_ALL * len(poses):
             return (
-                f'{said} and reachable without a collision: widen the ranges, lower the floor '
-                '(--floor), or set another initial pose (--at)'
+                f'none of {len(poses)} sampled poses can be reached without a collision; widen '
+                'the ranges, lower the floor (--floor), or set another initial pose (--at)'
             )
         lowest = float(clearance.extent(poses).lowest[2])
         height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0
         return (
-            f'{said}: {below} of them reach below the floor at {clearance.floor:g} m, down to '
-            f'{lowest:.2f} m; lower the floor (--floor {height:g}) or switch it off (--floor none)'
+            f'none of {len(poses)} sampled poses is free of collisions: {below} of them reach '
+            f'below the floor at {clearance.floor:g} m, down to {lowest:.2f} m; lower the floor '
+            f'(--floor {height:g}) or switch it off (--floor none)'
         )
 
 
@@ -382,10 +381,6 @@ def _gradient(function: Callable[[States], Floats], states: States, speeds: Floa
         for order in range(3):
             slopes[order][:, j] = changes[order] / steps[order]
     return slopes
-
-
-def _even_times(count: int, duration: float) -> Floats:
-    return np.asarray(np.arange(count, dtype=float) * (duration / count))
 
 
 def _information(columns: Floats) -> Floats:

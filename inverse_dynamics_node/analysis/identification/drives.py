@@ -19,7 +19,6 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
 from ...robot.rigid_body import PARAMETERS
-from ..columns import fit_nonnegative
 from ..recordings.resampling import pieces
 from ..recordings.signals import Motion
 from .fit import correlation, RobotFit, weights_of
@@ -70,14 +69,6 @@ class JointFit(NamedTuple):
     """Whether each term of each joint was chosen, shape (joints, 10)."""
 
 
-class Delay(NamedTuple):
-    """Delay of the measured efforts, with its standard error."""
-
-    seconds: float
-    error: float
-    """Standard error of the delay [s]."""
-
-
 class EffortCorrection(NamedTuple):
     """Delay and gains that convert recorded values to efforts."""
 
@@ -118,7 +109,10 @@ def _choose_terms(
     regression: Regression, start: JointFit, moving: Booleans, grid: Floats, optional: bool
 ) -> JointFit:
     model = start.model
-    target = regression.efforts - regression.rigid(model.bodies) - regression.shared(model)
+    target = regression.efforts - regression.rigid(model.bodies)
+    for j, owner, columns in regression.actions(model):
+        if j != owner:  # a coupled drive acts on the preceding joint
+            target[:, j] -= columns @ model.joints[owner]
     grams = _block_grams(regression, model, grid, target)
     joints, used = np.zeros(start.used.shape), np.zeros(start.used.shape, dtype=bool)
     widths = np.zeros(len(used))
@@ -134,17 +128,16 @@ def _choose_terms(
     return JointFit(replace(model, joints=joints, widths=widths), used)
 
 
-def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
-    """Fit the chosen terms to the given rows, without couplings."""
+def fits_without_blocks(regression: Regression, friction: JointFit) -> list[Model]:
+    """Leave out each block in turn, and fit the chosen terms without couplings."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
-    terms = regression.terms(model)
-    joints = np.zeros(model.joints.shape)
+    grams = _block_grams(regression, model, model.widths[None], target)
+    joints = np.zeros((grams[0].shape[1], *model.joints.shape))
     for j, used in enumerate(friction.used):
-        table = np.column_stack([terms[rows, j], target[rows, j]])
-        chosen = np.flatnonzero(used).tolist()
-        joints[j, chosen] = _fits((table.T @ table)[None], chosen)[0]
-    return replace(model, joints=joints)
+        others = [np.delete(grams[j][0], k, axis=0).sum(axis=0) for k in range(len(joints))]
+        joints[:, j, used] = _fits(np.array(others), np.flatnonzero(used).tolist())
+    return [replace(model, joints=each) for each in joints]
 
 
 def _block_grams(
@@ -211,11 +204,23 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
     vectors = scale * grams[..., index, -1]
     solutions = np.linalg.solve(matrices, vectors[..., None])[..., 0]
     wrong = (solutions[..., ~SIGNED[index]] < 0.0).any(axis=-1)
-    for at in zip(*np.nonzero(wrong), strict=True):
-        root = np.linalg.cholesky(matrices[at]).T
-        vector = np.linalg.solve(root.T, vectors[at])
-        solutions[at] = fit_nonnegative(root, vector, SIGNED[index])[0]
+    if wrong.any():
+        solutions[wrong] = _nonnegative(matrices[wrong], vectors[wrong], SIGNED[index])
     return np.asarray(scale * solutions)
+
+
+def _nonnegative(matrices: Floats, vectors: Floats, signed: Booleans) -> Floats:
+    """Solve normal equations with nonnegative solutions, except for `signed` unknowns."""
+    from scipy.optimize import nnls
+
+    roots = np.linalg.cholesky(matrices)
+    targets = np.linalg.solve(roots, vectors[..., None])[..., 0]
+    columns = np.swapaxes(roots, -1, -2)
+    both = np.concatenate([columns, -columns[..., signed]], axis=-1)
+    found = np.array([nnls(*each)[0] for each in zip(both, targets, strict=True)])
+    solutions: Floats = found[:, : len(signed)]
+    solutions[:, signed] -= found[:, len(signed) :]
+    return solutions
 
 
 # ---- Gains --------------------------------------------------------------------------------------
@@ -284,9 +289,9 @@ def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> 
 # ---- Delay --------------------------------------------------------------------------------------
 
 
-def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
+def estimate_delay(regression: Regression, fit: RobotFit) -> tuple[float, float]:
     """
-    Estimate the remaining delay of the corrected efforts.
+    Estimate the remaining delay of the corrected efforts, and its standard error [s].
 
     The delay is estimated together with all other unknowns, to first order.
 
@@ -306,10 +311,9 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     total = float((weights * effect**2).sum())
     identified = total - float(vector @ np.linalg.solve(fit.hessian, vector))
     if identified <= 1e-9 * total or total == 0.0:
-        return Delay(0.0, np.inf)
+        return 0.0, np.inf
     delay = float((weights * effect * residual).sum()) / identified
-    delay = float(np.clip(delay, -MOST_DELAY, MOST_DELAY))
-    return Delay(delay, float(1.0 / np.sqrt(identified)))
+    return float(np.clip(delay, -MOST_DELAY, MOST_DELAY)), float(1.0 / np.sqrt(identified))
 
 
 def _shifted(motion: Motion, delay: float) -> Floats:

@@ -8,7 +8,6 @@ the recordings.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import PARAMETERS
 from ..columns import base_parameters
 from ..recordings.signals import Motion, rms
-from .drives import common_factor, Delay, fit_terms, JointFit
+from .drives import common_factor, fits_without_blocks, JointFit
 from .fit import mass_information, RobotFit, weights_of
 from .preparation import PreparedRecording, TrainingData
 from .regression import (
@@ -44,7 +43,7 @@ _NAMES = {
     'stiffness': SPRING,
     'offset': OFFSET,
 }
-_NOT_MOVED = 'it did not move far enough in both directions'
+_NOT_MOVED = 'this joint did not move far enough in both directions'
 LEAST_GAIN = 0.01
 """Fraction by which the identified model must reduce the residuals of friction alone."""
 LEAST_EXPLAINED = 0.1
@@ -66,7 +65,7 @@ def evaluate(
     data: TrainingData,
     fit: RobotFit,
     friction: JointFit,
-    delay: Delay,
+    delay: tuple[float, float],
     urdf_weight: float,
     trials: dict[float, float],
     validation: Sequence[PreparedRecording],
@@ -75,7 +74,7 @@ def evaluate(
     Return the result of an identification, evaluated on the recordings in `validation`.
 
     Without validation recordings, each block of the fitted recordings is predicted from the other
-    blocks.
+    blocks. `delay` contains the delay of the efforts and its standard error [s].
 
     """
     problem, identified = data.problem, data.problem.identified
@@ -83,22 +82,32 @@ def evaluate(
     urdf = Model(identified.before, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     least = data.least_widths
     models = urdf, friction.model.exported(least), fit.model.exported(least)
-    folds = _folds(data, fit, friction)
-    training, unseen = _evaluations(data, models, folds, validation)
-    accepted = _explains(unseen) and _is_better(unseen)
-    if accepted:
-        chosen, errors = models[2], _standard_errors(fit)
-        spread = _spread([fold.identified.joints for fold in folds])
+    folds = [
+        (without.exported(least), fit.without(block).exported(least))
+        for block, without in enumerate(fits_without_blocks(data.regression, friction))
+    ]
+    training = _efforts(data, data.runs, models, (), 'the training data')
+    if validation:
+        text = 'recordings that were not used for the fit'
+        unseen = _efforts(data, validation, models, (), text)
     else:
-        chosen, errors = models[1], _friction_errors(data, friction)
-        spread = _spread([fold.friction.joints for fold in folds])
-    errors = [
-        {name: max(error, float(spread[j, _NAMES[name]])) for name, error in each.items()}
-        for j, each in enumerate(errors)
+        text = f'{len(folds)} blocks of the recordings, each predicted from the other blocks'
+        unseen = _efforts(data, data.runs, models, folds, text)
+    accepted = _explains(unseen) and _is_better(unseen)
+    covariance: Floats = np.asarray(np.linalg.inv(fit.hessian))
+    if accepted:
+        chosen, used, errors = models[2], fit.used, _standard_errors(fit, covariance)
+        spread = _spread([identified.joints for _, identified in folds])
+    else:
+        chosen, used, errors = models[1], friction.used, _friction_errors(data, friction)
+        spread = _spread([without.joints for without, _ in folds])
+    named = [
+        {name: float(own[k]) for name, k in _NAMES.items() if is_used[k]}
+        for own, is_used in zip(np.maximum(errors, spread), used, strict=True)
     ]
     runs = validation or data.runs
-    joints = tuple(_joint(data, j, chosen, errors[j], training, unseen, runs) for j in range(m))
-    bodies = _bodies(problem, fit)
+    joints = tuple(_joint(data, j, chosen, named[j], training, unseen, runs) for j in range(m))
+    bodies = _bodies(problem, fit, covariance)
     return IdentificationResult(
         robot=identified.robot,
         calibrated=identified.robot_with(fit.model.bodies) if accepted else identified.robot,
@@ -111,58 +120,24 @@ def evaluate(
         unseen=unseen,
         urdf_weight=urdf_weight,
         trials=trials,
-        delay=delay.seconds,
-        delay_error=delay.error,
+        delay=delay[0],
+        delay_error=delay[1],
         delay_removed=data.correction.delay,
         smoothing=data.regression.resamplers[0].seconds,
         sample_count=sum(len(motion.times) for motion in data.motions),
         duration=data.duration,
         signals=tuple(run.derived for run in [*data.runs, *validation]),
-        base_parameters=_base_parameters(problem, fit),
+        base_parameters=_base_parameters(problem, fit, covariance),
         warnings=_warnings(data, joints, fit, friction, accepted),
         advice=what_to_record(data, bodies),
     )
-
-
-class Fold(NamedTuple):
-    """Two models that were fitted without one block."""
-
-    friction: Model
-    identified: Model
-
-
-def _folds(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[Fold]:
-    """Leave out each block in turn, and fit both models."""
-    regression = data.regression
-    folds = []
-    for block in range(fit.equations.block_count):
-        rows = (regression.block != block) & (regression.block >= 0)
-        without = fit_terms(regression, friction, rows)
-        least = data.least_widths
-        folds.append(Fold(without.exported(least), fit.without(block).exported(least)))
-    return folds
-
-
-def _evaluations(
-    data: TrainingData,
-    models: Sequence[Model],
-    folds: Sequence[Fold],
-    validation: Sequence[PreparedRecording],
-) -> tuple[Unseen, Unseen]:
-    """Return the efforts of the training data and of unseen data."""
-    training = _efforts(data, data.runs, models, (), 'the training data')
-    if validation:
-        text = 'recordings that were not used for the fit'
-        return training, _efforts(data, validation, models, (), text)
-    text = f'{len(folds)} blocks of the recordings, each predicted from the other blocks'
-    return training, _efforts(data, data.runs, models, folds, text)
 
 
 def _efforts(
     data: TrainingData,
     runs: Sequence[PreparedRecording],
     models: Sequence[Model],
-    folds: Sequence[Fold],
+    folds: Sequence[Sequence[Model]],
     description: str,
 ) -> Unseen:
     """Return measured and predicted efforts; each fold predicts its own block."""
@@ -241,9 +216,9 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
     if accepted:
         unsmoothed = significant(float(np.linalg.norm(unseen.unsmoothed)))
         return (
-            f'On unseen data the identified model leaves {identified} N m of the efforts '
+            f'On unseen data, the identified model leaves {identified} N m of the efforts '
             f'unexplained. The robot description leaves {urdf} N m, or {friction} N m with fitted '
-            'friction. Each value is the root of the sum of squares over all joints, after '
+            'friction. Each value combines all joints (root of the sum of squares), after '
             f'smoothing over {1e3 * unseen.smoothing:.0f} ms. Without smoothing, the identified '
             f'model leaves {unsmoothed} N m'
         )
@@ -252,14 +227,14 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
             'The efforts are hardly related to the motion: on unseen data, the efforts vary by '
             f'{significant(_variation(unseen))} N m, and the identified model leaves {identified} '
             'N m unexplained. Check that the recording contains the efforts of these joints, '
-            'and that efforts and positions have the same times. The masses of the '
+            'and that efforts and positions were measured at the same times. The masses of the '
             'robot description are kept'
         )
     return (
-        'The identified model is not clearly better on unseen data: the model leaves '
+        'The identified model is not clearly better on unseen data: it leaves '
         f'{identified} N m unexplained, and the robot description with fitted friction leaves '
-        f'{friction} N m. The masses of the robot description are kept, and only friction is '
-        'written'
+        f'{friction} N m. Therefore, the masses of the robot description are kept, and only '
+        'friction is written'
     )
 
 
@@ -328,39 +303,30 @@ def _spread(joints: Sequence[Floats]) -> Floats:
     return np.asarray(np.sqrt(max(len(values) - 1, 0)) * values.std(axis=0))
 
 
-def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
-    """Return standard errors of the joint terms, from the Hessian of the fit."""
-    variances = np.diagonal(np.linalg.inv(fit.hessian))
-    first = fit.model.bodies.size
-    return [
-        {
-            name: float(np.sqrt(variances[np.flatnonzero(fit.unknowns == column)[0]]))
-            for name, k in _NAMES.items()
-            if (column := first + TERMS * j + k) in fit.unknowns
-        }
-        for j in range(len(fit.used))
-    ]
+def _standard_errors(fit: RobotFit, covariance: Floats) -> Floats:
+    """Return standard errors of the joint terms, with zero for terms that were not fitted."""
+    errors = np.zeros(fit.used.shape)
+    errors[fit.used] = np.sqrt(np.diagonal(covariance)[fit.model.bodies.size :])
+    return errors
 
 
-def _friction_errors(data: TrainingData, friction: JointFit) -> list[dict[str, float]]:
+def _friction_errors(data: TrainingData, friction: JointFit) -> Floats:
     """Return standard errors of the joint terms if only friction was fitted."""
     regression, model = data.regression, friction.model
     weights = weights_of(regression.residual(model))
     terms = regression.terms(model)
-    errors = []
+    errors = np.zeros(friction.used.shape)
     for j, used in enumerate(friction.used):
-        chosen = np.flatnonzero(used)
-        covariance = np.linalg.pinv(weights[j] * terms[:, j][:, chosen].T @ terms[:, j][:, chosen])
-        deviations = dict(zip(chosen.tolist(), np.sqrt(np.diagonal(covariance)), strict=True))
-        errors.append(
-            {name: float(deviations[k]) for name, k in _NAMES.items() if k in deviations}
-        )
+        columns = terms[:, j][:, used]
+        covariance = np.linalg.pinv(weights[j] * columns.T @ columns)
+        errors[j, used] = np.sqrt(np.diagonal(covariance))
     return errors
 
 
-def _bodies(problem: IdentificationProblem, fit: RobotFit) -> tuple[BodyResult, ...]:
-    identified = problem.identified
-    covariance, data_fractions = np.linalg.inv(fit.hessian), mass_information(fit)
+def _bodies(
+    problem: IdentificationProblem, fit: RobotFit, covariance: Floats
+) -> tuple[BodyResult, ...]:
+    identified, data_fractions = problem.identified, mass_information(fit)
     results = []
     for k, parameters in enumerate(fit.model.bodies):
         rows = slice(PARAMETERS * k, PARAMETERS * k + 4)
@@ -386,14 +352,14 @@ def _bodies(problem: IdentificationProblem, fit: RobotFit) -> tuple[BodyResult, 
 
 
 def _base_parameters(
-    problem: IdentificationProblem, fit: RobotFit
+    problem: IdentificationProblem, fit: RobotFit, covariance: Floats
 ) -> tuple[tuple[str, float, float], ...]:
     """Return names, values and standard errors of the base parameters."""
     base = base_parameters(problem.at_random_states())
     first = fit.model.bodies.size
     values = base.combinations @ fit.model.bodies.ravel()
-    covariance = np.linalg.inv(fit.hessian)[:first, :first]
-    variances = np.einsum('ri,ij,rj->r', base.combinations, covariance, base.combinations)
+    own = covariance[:first, :first]
+    variances = np.einsum('ri,ij,rj->r', base.combinations, own, base.combinations)
     names = base.names(problem.identified.names)
     errors = np.sqrt(np.maximum(variances, 0.0))
     return tuple(zip(names, values.tolist(), errors.tolist(), strict=True))
@@ -433,9 +399,9 @@ def _warnings(
             (
                 f'the gain of {names[joint]} cannot be determined, because the current hardly '
                 'depends on the modelled effort',
-                'move this joint where gravity causes an effort, or with high accelerations. The '
-                'gain was set to the median of the other gains, so the friction and armature of '
-                'the joint have an unknown unit',
+                'move this joint in poses where gravity loads it, or with high accelerations. Its '
+                'gain was set to the median of the other gains, so its friction and armature are '
+                'in an unknown unit',
             )
             for joint, known in zip(problem.joints, data.correction.is_gain_known, strict=True)
             if not known
@@ -444,15 +410,15 @@ def _warnings(
         (
             f'the drive of {joint.name} also turns with {joint.coupled_with[0]}, by '
             f'{joint.terms.coupling:.3g} rad per rad',
-            'many wrists have such a coupling. A URDF cannot express the coupling, but the node '
-            'has the parameter drive_coupling',
+            'many wrists have such a coupling. A URDF cannot express it, but the node parameter '
+            'drive_coupling can',
         )
         for joint in joints
         if joint.terms.coupling != 0.0
     ]
     warnings += [
         (
-            f'{group} moved in a fixed ratio',
+            f'{group} always moved in a fixed ratio',
             'record a motion in which these joints move independently. Otherwise, the fit cannot '
             'distinguish a coupling of the drives from inertia and friction',
         )
@@ -498,9 +464,9 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
         (
             f'all efforts of the links are {factor:.2f} times as large as the robot description '
             'predicts',
-            'this factor explains most of the improvement by the identified bodies. The efforts '
-            'probably have a different unit or gain, and the masses of the robot description are '
-            'probably right. To find out, weigh a link or record a known payload',
+            'this factor explains most of what the identified bodies improve. The unit or gain of '
+            'the efforts is probably wrong, and the masses of the robot description are probably '
+            'right. To find out, weigh a link or record a known payload',
         )
     ]
 
@@ -513,7 +479,7 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
     problem = data.problem
     robot = problem.identified.robot
     advice = [
-        f'{group} moved in a fixed ratio; record a motion in which they move independently'
+        f'{group} always moved in a fixed ratio; record a motion in which they move independently'
         for group in _moved_together(data)
     ]
     speeds = np.max([np.quantile(np.abs(m.qd), 0.95, axis=0) for m in data.motions], axis=0)
@@ -523,18 +489,17 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
         limit = float(robot.velocity_limits[joint])
         if not data.moving[j]:
             advice.append(
-                f'move {name} back and forth for 30 s, because the friction of this joint is '
-                'still unknown'
+                f'move {name} back and forth for 30 s, because its friction is still unknown'
             )
         elif speeds[joint] < min(SLOW * limit, FAST_ENOUGH):
             goal = min(FAST_ENOUGH, 0.5 * limit)
             advice.append(
-                f'move {name} at up to {goal:.2g} {unit} for 30 s more, because the speed of this '
-                f'joint exceeded {speeds[joint]:.2g} {unit} for only 5 % of the time'
+                f'move {name} at up to {goal:.2g} {unit} for another 30 s, because its speed '
+                f'exceeded {speeds[joint]:.2g} {unit} only 5 % of the time'
             )
     if data.duration < SHORT:
         advice.append(
-            f'record at least 30 s, because these recordings only last {data.duration:.3g} s'
+            f'record at least 30 s, because these recordings last only {data.duration:.3g} s'
         )
     unknown = [
         body for body in bodies if body.data_fraction < LITTLE and not _is_first(robot, body)

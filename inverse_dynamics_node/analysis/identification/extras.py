@@ -8,13 +8,12 @@ Therefore, an extra term must clearly improve the prediction of left-out blocks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
-from .fit import Equations, RobotFit, solve
+from .fit import Equations, RobotFit
 from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WIDTH
 
 LEAST_GAIN = 0.1
@@ -39,7 +38,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
     used = fit.used.copy()
     used[:, WIDTH] = moving
     equations = Equations(regression, fit.model)
-    base = _solved(fit, equations, used, fit.model)
+    base = fit.again(equations, used, fit.model)
     losses, trials = _fitted_losses(base), []
     for joints, least, make in _candidates(regression, moving, fit, equations, used):
         try:
@@ -64,7 +63,7 @@ def _candidates(
         if not used[j, SPRING] and not is_continuous[j]:
             more = used.copy()
             more[j, SPRING] = True
-            yield [j], LEAST_GAIN, partial(_solved, fit, equations, more, fit.model)
+            yield [j], LEAST_GAIN, partial(fit.again, equations, more, fit.model)
         before = int(regression.problem.before[j])
         if (
             may_be_coupled(regression, moving, j)
@@ -84,21 +83,21 @@ def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
     Returns the same object if all terms are useful. Otherwise, the result must be fitted again.
 
     """
-    used, couplings = fit.used.copy(), fit.model.couplings.copy()
+    used, model = fit.used.copy(), fit.model
     for j in range(len(used)):
         if fit.used[j, SPRING]:
             less = fit.used.copy()
             less[j, SPRING] = False
-            base = _solved(fit, fit.equations, less, fit.model)
+            base = fit.again(fit.equations, less, fit.model)
             used[j, SPRING] = is_needed(base, fit, [j], LEAST_GAIN)
-        if couplings[j]:
+        if fit.model.couplings[j]:
             before = int(regression.problem.before[j])
             base = _uncoupled(regression, fit, j)
-            is_used = is_needed(base, fit, [before, j], LEAST_GAIN_OF_COUPLING)
-            couplings[j] = couplings[j] if is_used else 0.0
-    if (used == fit.used).all() and (couplings == fit.model.couplings).all():
+            if not is_needed(base, fit, [before, j], LEAST_GAIN_OF_COUPLING):
+                model = model.with_coupling(j, 0.0)
+    if (used == fit.used).all() and model is fit.model:
         return fit
-    return fit._replace(used=used, model=replace(fit.model, couplings=couplings))
+    return fit._replace(used=used, model=model)
 
 
 def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float) -> bool:
@@ -176,22 +175,13 @@ def _axes_intersect(robot: RobotModel, before: int, joint: int) -> bool:
     return length > 0.1 and abs(float(normal @ robot.p_PL[second])) < INTERSECTION * length
 
 
-def _solved(fit: RobotFit, equations: Equations, used: Booleans, start: Model) -> RobotFit:
-    return solve(equations, fit.weights, fit.prior.weights, used, start)
-
-
 def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> RobotFit:
     """Fit the coupling of joint j, starting from the best of several values."""
 
     def fitted(model: Model) -> RobotFit:
-        return _solved(fit, Equations(regression, model), used, model)
+        return fit.again(Equations(regression, model), used, model)
 
-    def with_ratio(ratio: float) -> Model:
-        couplings = fit.model.couplings.copy()
-        couplings[j] = ratio
-        return replace(fit.model, couplings=couplings)
-
-    trials = (fitted(with_ratio(ratio)) for ratio in RATIOS)
+    trials = (fitted(fit.model.with_coupling(j, ratio)) for ratio in RATIOS)
     best = min(trials, key=lambda trial: float(_fitted_losses(trial).sum()))
     used = used.copy()
     used[j, RATIO] = True
@@ -202,11 +192,10 @@ def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> R
 
 def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
     """Repeat the fit without the coupling of joint j."""
-    couplings, used = fit.model.couplings.copy(), fit.used.copy()
-    couplings[j], used[j, RATIO] = 0.0, False
+    used, model = fit.used.copy(), fit.model.with_coupling(j, 0.0)
+    used[j, RATIO] = False
     used[[regression.problem.before[j], j], ARMATURE] = True
-    model = replace(fit.model, couplings=couplings)
-    return _solved(fit, Equations(regression, model), used, model)
+    return fit.again(Equations(regression, model), used, model)
 
 
 def _fitted_losses(fit: RobotFit) -> Floats:

@@ -63,6 +63,10 @@ class RobotFit(NamedTuple):
     """Inverse covariance of the unknowns."""
     prior: Prior
 
+    def again(self, equations: Equations, used: Booleans, start: Model) -> RobotFit:
+        """Repeat the fit with other equations and terms, but with the same weights."""
+        return solve(equations, self.weights, self.prior.weights, used, start)
+
     def without(self, block: int) -> Model:
         """Repeat the fit without one block, and return the model."""
         prior = self.prior.weights
@@ -324,18 +328,15 @@ class Prior:
 
     def longest_step(self, x: Floats, step: Floats) -> float:
         """Return a step factor, at most 1, that keeps all values physical."""
-        longest = 1.0
         numbers, change = x[self.positive], step[self.positive]
-        if (change < 0.0).any():
-            falling = change < 0.0
-            longest = _TO_EDGE * float(np.min(numbers[falling] / -change[falling]))
-            longest = min(longest, 1.0)
-        if len(self.bodies):
-            inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(self._bodies(x))))
-            change = inverse @ pseudo_inertias(self._bodies(step)) @ inverse.transpose(0, 2, 1)
-            least = float(np.linalg.eigvalsh(change).min())
-            if least < 0.0:
-                longest = min(longest, _TO_EDGE / -least)
+        falling = change < 0.0
+        edge = float(np.min(numbers[falling] / -change[falling], initial=np.inf))
+        longest = min(1.0, _TO_EDGE * edge)
+        inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(self._bodies(x))))
+        relative = inverse @ pseudo_inertias(self._bodies(step)) @ inverse.transpose(0, 2, 1)
+        least = float(np.linalg.eigvalsh(relative).min())
+        if least < 0.0:
+            longest = min(longest, _TO_EDGE / -least)
         return longest
 
     def _bodies(self, x: Floats) -> Floats:

@@ -14,7 +14,7 @@ from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
 from ..recordings.signals import Recording
-from .drives import choose_terms, Delay, estimate_delay, first_gains, JointFit
+from .drives import choose_terms, estimate_delay, first_gains, JointFit
 from .evaluation import evaluate
 from .extras import with_extra, without_useless_extras
 from .fit import choose_urdf_weight, Equations, RobotFit, solve, solve_within_reason, weights_of
@@ -137,22 +137,29 @@ def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
     return fit
 
 
-def remove_delay(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit, Delay]:
-    """Estimate the delay of the efforts, and remove the delay if the fit improves."""
-    delay = Delay(0.0, 0.0)
+def remove_delay(
+    data: TrainingData, fit: RobotFit
+) -> tuple[TrainingData, RobotFit, tuple[float, float]]:
+    """
+    Estimate the delay of the efforts, and remove the delay if the fit improves.
+
+    Also returns the delay and its standard error [s].
+
+    """
+    delay = error = 0.0
     for _ in range(DELAY_ROUNDS):
         removed = data.correction.delay
-        more = estimate_delay(data.regression, fit)
-        delay = Delay(removed + more.seconds, more.error)
-        if abs(more.seconds) < max(2.0 * more.error, LEAST_DELAY):
+        more, error = estimate_delay(data.regression, fit)
+        delay = removed + more
+        if abs(more) < max(2.0 * error, LEAST_DELAY):
             break
         weights, before = fit.weights, _loss(data, fit, fit.weights)
-        data, fit = _shift(data, fit, delay.seconds)
+        data, fit = _shift(data, fit, delay)
         if _loss(data, fit, weights) > before:
             data, fit = _shift(data, fit, removed)
-            delay = Delay(removed, more.error)
+            delay = removed
             break
-    return data, fit, delay
+    return data, fit, (delay, error)
 
 
 def _shift(data: TrainingData, fit: RobotFit, delay: float) -> tuple[TrainingData, RobotFit]:
@@ -171,7 +178,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
     with_gains[:, GAIN] = known
     for _ in range(GAIN_ROUNDS):
         equations = Equations(data.regression, fit.model)
-        fit = solve(equations, fit.weights, fit.prior.weights, with_gains, fit.model)
+        fit = fit.again(equations, with_gains, fit.model)
         change = 1.0 + np.clip(fit.model.joints[:, GAIN], -0.3, 0.3)
         common = _common_factor(data, change)
         gains = data.correction.gains * (np.where(known, change, 1.0) * common)

@@ -53,8 +53,8 @@ LEAST_TRAVEL = {False: 0.02, True: 0.002}
 LEAST_RETURN = 0.1
 """Least travel of a joint in each direction, as a fraction of the total travel."""
 GOOD_RECORDINGS = (
-    'record slow and fast motion of all joints for at least 30 s; `inverse_dynamics excite` plans '
-    'such a motion'
+    'record slow and fast motions of all joints for at least 30 s; `inverse_dynamics excite` '
+    'plans a suitable motion'
 )
 
 
@@ -88,7 +88,7 @@ def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[
                 found.add(robot.joint_names.index(name))
         common &= found
     if not common:
-        raise RecordingError('no joint of this robot has a varying effort in all recordings')
+        raise RecordingError('no joint of this robot has efforts that vary in every recording')
     return sorted(common)
 
 
@@ -191,8 +191,9 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
         raise RecordingError(
-            f'a validation recording has no efforts of {", ".join(missing)}, expected the same '
-            f'joints as in the fitted recordings; it has efforts of {", ".join(measured)}'
+            f'a validation recording has no efforts of {", ".join(missing)}, but only of '
+            f'{", ".join(measured)}; expected efforts of the same joints as in the fitted '
+            'recordings'
         )
     return [derived.joint_names.index(name) for name in names]
 
@@ -240,7 +241,7 @@ def training_data(
     regression = Regression(problem, motions, seconds, BLOCKS)
     if duration < LEAST_DURATION or not len(regression.efforts):
         raise RecordingError(
-            f'the smoothed recordings last {duration:.2g} s, expected at least '
+            f'after smoothing, the recordings last {duration:.2g} s, expected at least '
             f'{LEAST_DURATION:g} s without gaps; {GOOD_RECORDINGS}'
         )
     m = len(problem.joints)

@@ -8,7 +8,7 @@ per rotation of the preceding joint. The gain of a joint is the effort per unit 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +18,7 @@ import numpy as np
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.robot_table import joints_before
 from ...errors import ConfigurationError
+from ...robot.kinematics import path_to
 from ...robot.model import Floats, Integers, RobotModel
 from ...robot.rigid_body import (
     moved_inside,
@@ -27,8 +28,8 @@ from ...robot.rigid_body import (
     RigidBody,
     transport,
 )
-from ..columns import body_columns, direction_of
-from ..recordings.resampling import resampler
+from ..columns import body_columns
+from ..recordings.resampling import Resampler, resampler
 from ..recordings.signals import Motion
 
 RANDOM_STATES = 60
@@ -134,7 +135,7 @@ def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> Identif
             links.append(identified)
     if not bodies:
         raise ConfigurationError(
-            f"robot '{robot.name}' has no moving link with a mass that may change"
+            f"robot '{robot.name}' has no moving link left to identify: each is massless or fixed"
         )
     before = np.array([sum(_link_parameters(robot, link) for link in each) for each in links])
     return IdentifiedBodies(
@@ -155,27 +156,25 @@ def _link_parameters(robot: RobotModel, link: int) -> Floats:
     return placed.parameters()
 
 
+@dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """
-    A robot with gravity and payload, and the bodies and joints to identify.
+    """A robot with gravity and payload, and the bodies and joints to identify."""
 
-    `joints` are the joints with measured efforts. `gravity` is the free-fall acceleration in the
-    base frame [m/s^2]. `payload` contains the link, mass [kg] and centre of mass [m] of a known
-    payload. `currents` is true if motor currents were recorded instead of efforts.
+    identified: IdentifiedBodies
+    joints: list[int]
+    """Joints with measured efforts."""
+    gravity: Floats
+    """Free-fall acceleration in the base frame [m/s^2]."""
+    payload: tuple[str, float, Sequence[float]] | None = None
+    """Link, mass [kg] and centre of mass [m] of a known payload."""
+    currents: bool = False
+    """Whether motor currents were recorded instead of efforts."""
 
-    """
-
-    def __init__(
-        self,
-        identified: IdentifiedBodies,
-        joints: Sequence[int],
-        gravity: Floats,
-        payload: tuple[str, float, Sequence[float]] | None = None,
-        currents: bool = False,
-    ) -> None:
-        self.identified, self.joints = identified, list(joints)
-        self.gravity, self.payload, self.currents = gravity, payload, currents
-        self.before = _joints_before(identified.robot, self.joints)
+    @cached_property
+    def before(self) -> Integers:
+        """Index in `joints` of the preceding joint of each joint, or -1."""
+        before = joints_before(self.identified.robot)[self.joints].tolist()
+        return np.array([self.joints.index(k) if k in self.joints else -1 for k in before])
 
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
         """Return the dynamics of a robot with the payload and without friction."""
@@ -209,18 +208,10 @@ class IdentificationProblem:
         return np.asarray(table / np.sqrt(np.mean(table**2)))
 
 
-def _joints_before(robot: RobotModel, joints: Sequence[int]) -> Integers:
-    """Return the list index of each joint's preceding joint, or -1."""
-    before = joints_before(robot)[list(joints)]
-    return np.array([list(joints).index(k) if k in joints else -1 for k in before.tolist()])
-
-
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
     """Return the list indices of the bodies that a joint moves."""
-    moved = np.zeros(len(robot.parent), dtype=bool)
-    for body in range(1, len(moved)):
-        moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
-    return [k for k, body in enumerate(bodies) if moved[body]]
+    joints = [robot.joint_index[path_to(robot, body)] for body in bodies]
+    return [k for k, on_path in enumerate(joints) if joint in on_path]
 
 
 # ---- The regression ------------------------------------------------------------------------
@@ -261,6 +252,12 @@ class Model:
         joints[:, EXPORTED:] = 0.0
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
+    def with_coupling(self, j: int, ratio: float) -> Model:
+        """Return the model with another coupling of joint j."""
+        couplings = self.couplings.copy()
+        couplings[j] = ratio
+        return replace(self, couplings=couplings)
+
     def springs(self, q: Floats) -> Floats:
         """Return the efforts of springs and their offsets, shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
@@ -285,7 +282,7 @@ class Regression:
         seconds: float,
         block_count: int,
     ) -> None:
-        self.problem, self.motions, self.seconds = problem, list(motions), seconds
+        self.problem, self.motions = problem, list(motions)
         self.resamplers = [resampler(motion, seconds) for motion in motions]
         joints = problem.joints
         self.qdd = self._smooth([motion.qdd[:, joints] for motion in motions])
@@ -321,9 +318,8 @@ class Regression:
     def direction(self, widths: Floats) -> Floats:
         """Return the smoothed directions of motion, shape (rows, joints)."""
         joints = self.problem.joints
-        return self._smooth_discontinuous(
-            [direction_of(m.qd[:, joints], widths) for m in self.motions]
-        )
+        signals = [np.tanh(motion.qd[:, joints] / widths) for motion in self.motions]
+        return self._smooth(signals, Resampler.discontinuous)
 
     def terms(self, model: Model) -> Floats:
         """
@@ -346,7 +342,7 @@ class Regression:
             slope = (coulomb + per_load * load + per_root * root) * (1.0 - step**2) / model.widths
             parts.append((step, load * step, root * step, -slope * speed, slope * qd[:, before]))
         direction, loaded, rooted, widening, coupling = (
-            self._smooth_discontinuous(signals) for signals in zip(*parts, strict=True)
+            self._smooth(signals, Resampler.discontinuous) for signals in zip(*parts, strict=True)
         )
         armature, damping = model.joints[:, ARMATURE], model.joints[:, DAMPING]
         coupling += armature * self.qdd[:, before] + damping * self.qd[:, before]
@@ -383,14 +379,6 @@ class Regression:
             found.append((int(self.problem.before[j]), j, shared))
         return found
 
-    def shared(self, model: Model) -> Floats:
-        """Return the efforts of coupled drives on preceding joints, shape (rows, joints)."""
-        efforts = np.zeros_like(self.qd)
-        for joint, owner, columns in self.actions(model):
-            if joint != owner:
-                efforts[:, joint] += columns @ model.joints[owner]
-        return efforts
-
     @cached_property
     def together(self) -> tuple[tuple[int, ...], ...]:
         """Groups of joints that moved in a fixed ratio, as indices in the joint list."""
@@ -413,13 +401,13 @@ class Regression:
         """Return measured minus modelled efforts, shape (rows, joints)."""
         return self.efforts - self.predict(model)
 
-    def _smooth(self, signals: Sequence[Floats]) -> Floats:
+    def _smooth(
+        self,
+        signals: Sequence[Floats],
+        method: Callable[[Resampler, Floats], Floats] = Resampler.__call__,
+    ) -> Floats:
         pairs = zip(self.resamplers, signals, strict=True)
-        return np.concatenate([smooth(values) for smooth, values in pairs])
-
-    def _smooth_discontinuous(self, signals: Sequence[Floats]) -> Floats:
-        pairs = zip(self.resamplers, signals, strict=True)
-        return np.concatenate([smooth.discontinuous(values) for smooth, values in pairs])
+        return np.concatenate([method(smooth, values) for smooth, values in pairs])
 
     def _blocks(self, count: int) -> Integers:
         """Return the block of each row, or -1 between blocks; blocks have similar durations."""

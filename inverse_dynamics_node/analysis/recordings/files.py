@@ -95,7 +95,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
-    return RecordingError(f'{path}: is damaged or incomplete: {type(error).__name__}: {error}')
+    return RecordingError(f'{path}: is damaged or incomplete ({type(error).__name__}: {error})')
 
 
 # ---- CSV -----------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def read_csv(
                 if any(map(str.strip, row))
             ]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f'{path}: is not a CSV file: {error}') from None
+        raise RecordingError(f'{path}: is not a CSV file ({error})') from None
     values = np.array(numbers).reshape(-1, len(header))
     columns: dict[tuple[str, str], Floats] = {}
     others = []
@@ -153,7 +153,7 @@ def read_csv(
         if not joint or quantity not in quantities:
             others += [name] if name != 'time' else []
         elif (joint, quantity) in columns:
-            raise RecordingError(f"{path}: two columns hold the {quantity} of joint '{joint}'")
+            raise RecordingError(f"{path}: two columns contain the {quantity} of joint '{joint}'")
         else:
             columns[joint, quantity] = values[:, k]
     return CsvRecording(values[:, header.index('time')], columns, tuple(others))

@@ -41,12 +41,14 @@ def read_measured_states(
         raise RecordingError(f'{path}: no such file or folder, expected a recording')
     if path.suffix == '.csv':
         if topic is not None:
-            raise RecordingError(f'{path}: a CSV file has no topic {topic}')
+            raise RecordingError(
+                f'{path}: a CSV file has no topics, but topic {topic} was requested'
+            )
         return _from_csv(path, joint_names, mimic_names)
     if path.is_file() and path.suffix not in BAG_SUFFIXES:
         raise RecordingError(
-            f"{path}: is a '{path.suffix or path.name}' file, expected a rosbag2 folder, .mcap, "
-            '.db3 or .csv'
+            f"{path}: is a '{path.suffix or path.name}' file, expected a rosbag2 folder, or a "
+            '.mcap, .db3 or .csv file'
         )
     with open_bag(path) as bag:
         chosen = _choose_topic(bag, topic)
@@ -75,7 +77,7 @@ def _choose_topic(bag: Bag, requested: str | None) -> str:
         topic = bag.find_topic(requested)
         if topic is None:
             raise RecordingError(
-                f'{bag.path}: has no topic {requested}; its topics of type {JOINT_STATE} are '
+                f'{bag.path}: has no topic {requested}; topics of type {JOINT_STATE}: '
                 f'{", ".join(topics) or "none"}'
             )
         if bag.types[topic] != JOINT_STATE:
@@ -86,7 +88,7 @@ def _choose_topic(bag: Bag, requested: str | None) -> str:
     if not topics:
         found = ', '.join(f'{name} ({kind})' for name, kind in sorted(bag.types.items()))
         raise RecordingError(
-            f'{bag.path}: has no topic of type {JOINT_STATE}; it has {found or "no topics"}'
+            f'{bag.path}: has no topic of type {JOINT_STATE}; topics: {found or "none"}'
         )
     return topics[0] if len(topics) == 1 else _only_topic_with_efforts(bag, topics)
 
@@ -99,9 +101,9 @@ def _only_topic_with_efforts(bag: Bag, topics: list[str]) -> str:
             useful.append(topic)
     if len(useful) == 1:
         return useful[0]
-    found = f'{", ".join(useful)} have efforts' if useful else 'no topic has efforts'
+    found = f'of which {", ".join(useful)} have efforts' if useful else 'none of which has efforts'
     raise RecordingError(
-        f'{bag.path}: has several topics of type {JOINT_STATE}, {", ".join(topics)}; {found}; '
+        f'{bag.path}: has several topics of type {JOINT_STATE} ({", ".join(topics)}), {found}; '
         'choose one with --topic'
     )
 
@@ -126,7 +128,7 @@ def _from_messages(
             repeated = [joint_names[j] for j in sorted(joints) if joints.count(j) > 1]
             if repeated:
                 raise RecordingError(
-                    f"{where}: message {k} has joint '{repeated[0]}' more than once"
+                    f"{where}: message {k} names joint '{repeated[0]}' more than once"
                 )
             layout = layouts[names] = columns, joints
         columns, joints = layout
@@ -137,8 +139,8 @@ def _from_messages(
                 continue
             if len(values) != len(names):
                 raise RecordingError(
-                    f'{where}: message {k} has {len(names)} names, but {len(values)} values of '
-                    f'{quantity}'
+                    f'{where}: message {k} has {len(names)} names, but {len(values)} values in '
+                    f"'{quantity}'"
                 )
             target[joints] = np.asarray(values, dtype=float)[columns]
         stamp = message.header.stamp  # 0 if the driver does not set it
@@ -154,7 +156,7 @@ def _from_messages(
     times = 1e-9 * (nanoseconds - nanoseconds[0])
     recording, notes = _recording(where, times, np.array(rows), joint_names, recorded, mimic_names)
     if not is_stamped:
-        notes += ('messages have no time stamps; the times of recording were used instead',)
+        notes += ('the messages have no time stamps; the times of recording were used instead',)
     return recording, notes
 
 
@@ -177,14 +179,14 @@ def _recording(
     finite = np.isfinite(values)
     if not finite[:, 2, known].any():
         raise RecordingError(
-            f'{where}: no message has an effort of any joint of this robot, because all efforts '
-            'are empty or NaN; expected measured efforts'
+            f'{where}: all efforts of the joints of this robot are empty or NaN, expected '
+            'measured efforts'
         )
     without_position = [j for j in known if not finite[:, 0, j].any()]
     if without_position:
         name = joint_names[without_position[0]]
         raise RecordingError(
-            f"{where}: joint '{name}' never has a position: all positions are empty or NaN"
+            f"{where}: all positions of joint '{name}' are empty or NaN, expected numbers"
         )
     velocities = values[:, 1, known] if finite[:, 1, known].any() else None
     recording = Recording(
@@ -198,13 +200,13 @@ def _recording(
         'ignored joints that the robot does not have': [
             name for name in recorded if name not in joint_names and name not in mimic_names
         ],
-        'mimic joints, included in the efforts of the joints that they mimic': [
+        'mimic joints, whose efforts are part of the efforts of the joints that they mimic': [
             name for name in recorded if name in mimic_names
         ],
         'joints that were not recorded and are assumed to rest at zero': [
             name for name in joint_names if name not in recorded
         ],
-        'joints that have no measured effort and are not compared': [
+        'joints without measured efforts, which are not compared': [
             joint_names[j] for j in known if not finite[:, 2, j].any()
         ],
     }

@@ -149,7 +149,7 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     if not pieces:
         duration = times[-1] - times[0]
         raise RecordingError(
-            'every gap-free interval of the recording is too short to differentiate, '
+            'every gap-free interval of the recording is too short to be differentiated, '
             f'expected at least {4 * half * period:.2g} s; the recording lasts {duration:.3g} s'
         )
     instants, q, qd, qdd, efforts, raw = (
@@ -202,9 +202,11 @@ def _checked(recording: Recording) -> Floats:
         if values is not None and values.shape != shape:
             raise RecordingError(f'{what} have shape {values.shape}, expected {shape}')
     if len(times) < 2:
-        raise RecordingError(f'the recording has {len(times)} samples, expected at least 2')
+        raise RecordingError(f'the number of samples is {len(times)}, expected at least 2')
     if not np.isfinite(times).all():
-        raise RecordingError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
+        raise RecordingError(
+            f'one of the times is {times[~np.isfinite(times)][0]}, expected finite times'
+        )
     if not np.isfinite(recording.efforts).any():
         raise RecordingError('no joint has a measured effort')
     return times
@@ -322,7 +324,7 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
     elif set(orders) == {2}:
         source = 'the recorded positions, differentiated twice'
     else:
-        source = 'recorded velocities that agree with the positions, otherwise from positions'
+        source = 'recorded velocities that agree with the positions, and otherwise from positions'
     return (
         f'accelerations derived from {source}, with a Savitzky-Golay filter of degree {degree} '
         f'over {window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); '
@@ -341,12 +343,12 @@ def _notes(
         )
     merged = max(column.merged for column in columns)
     if merged:
-        notes.append(f'averaged {merged} duplicate samples with the same time stamp')
+        notes.append(f'averaged {merged} samples with duplicate time stamps')
     if pieces > 1:
         notes.append(f'because of gaps, the recording was differentiated in {pieces} pieces')
     if lost > 0.0:
         notes.append(
-            f'ignored {lost:.2g} s, because pieces between gaps are too short to differentiate'
+            f'ignored {lost:.2g} s in pieces between gaps that are too short to be differentiated'
         )
     return tuple(notes)
 
@@ -369,9 +371,9 @@ class RecordedColumn:
         is_complete = np.isfinite(q) & (np.isfinite(tau) | (not self.has_effort))
         if is_complete.sum() < 2:
             raise RecordingError(
-                f"joint '{self.name}' has {int(is_complete.sum())} samples with a position"
-                + (' and an effort' if self.has_effort else '')
-                + ', expected at least 2'
+                'the number of samples with a position'
+                f'{" and an effort" * self.has_effort} of joint '
+                f"'{self.name}' is {int(is_complete.sum())}, expected at least 2"
             )
         t = times[is_complete]
         steps = np.diff(t)
@@ -381,18 +383,15 @@ class RecordedColumn:
             at = float(t[int(np.argmin(steps))] - times[0])
             raise RecordingError(
                 f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if the file '
-                'contains two recordings, select one of them by its start and end'
+                'contains two recordings, select one of them with its start and end time'
             )
         order = np.argsort(t, kind='stable')
-        signals = [q, tau]
-        if recording.velocities is not None:
-            signals.append(recording.velocities[:, joint])
-        values = np.column_stack([t, *(signal[is_complete] for signal in signals)])[order]
+        velocities = recording.velocities
+        qd = np.full(len(q), np.nan) if velocities is None else velocities[:, joint]
+        values = np.column_stack([times, q, tau, qd])[is_complete][order]
         values, self.merged = _merge(values, DUPLICATE * self.period)
-        self.t, self.q, self.tau = values[:, 0], values[:, 1], values[:, 2]
-        self.qd: Floats | None = values[:, 3] if values.shape[1] == 4 else None
-        if self.qd is not None and not np.isfinite(self.qd).all():
-            self.qd = None
+        self.t, self.q, self.tau, qd = values.T
+        self.qd = qd if np.isfinite(qd).all() else None
         self.varies = self.has_effort and bool(np.ptp(self.tau) > 0.0)
 
     def spans(self) -> list[tuple[float, float]]:
@@ -517,9 +516,9 @@ def cut_off(efforts: Floats, period: float) -> float:
 def _passed(frequencies: Floats, power: Floats) -> float:
     """Return the highest frequency [Hz] that a spectrum contains."""
     octaves = [
-        (f, float(np.mean(power[(frequencies >= f) & (frequencies < 2.0 * f)])))
+        (f, float(np.mean(found)))
         for f in np.geomspace(0.25, 0.25 * frequencies[-1], 40)
-        if ((frequencies >= f) & (frequencies < 2.0 * f)).any()
+        if len(found := power[(frequencies >= f) & (frequencies < 2.0 * f)])
     ]
     largest = max(value for _, value in octaves)
     # Return the geometric mean of both ends of the octave.

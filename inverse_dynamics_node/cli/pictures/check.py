@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.sizing import PayloadCapacity, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...report.tables import effort_unit, shortened
+from ...report.tables import all_shortened, effort_unit, shortened
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
 from . import style
@@ -22,8 +22,6 @@ _REACH = 1.12
 """The effort axis ends at this multiple of the worst effort."""
 _MAX_RATIO = 1.2
 """Bars are cut at this multiple of the limit."""
-_NEGLIGIBLE = 1e-6
-"""Efforts smaller than this fraction of the largest effort are rounding errors."""
 _MOST_BESIDE_ONE_VIEW = 14
 """With more joints than this, the picture contains a second view of the robot."""
 _MOST_NUMBERS = 12
@@ -57,38 +55,37 @@ def draw(
             draw_arm(axes, dynamics, worst, workspace.hardest, payload.link, view)
         handles, labels = views[0].get_legend_handles_labels()
         style.legend_below(figure, handles, labels, loc='lower right', ncols=4)
-        style.save(figure, path)
+        figure.savefig(path)
 
 
 def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[str]:
     title = [f'{workspace.robot.name} ({source}): efforts that hold the robot against gravity']
     if payload.joint is not None:
-        title.append(f"payload left: {payload.mass:.3g} kg on link '{payload.link}'")
+        title.append(f"largest payload: {payload.mass:.3g} kg on link '{payload.link}'")
     return title
 
 
 def _draw_efforts(axes: Any, workspace: Workspace) -> None:
     """Draw the distribution of the efforts, with a row and a scale for each joint."""
     names = workspace.robot.joint_names
-    peaks = workspace.peaks
-    is_zero = peaks <= _NEGLIGIBLE * np.max(peaks)
-    scale = np.where(is_zero, np.inf, peaks)
+    peaks = style.without_rounding(workspace.peaks)
+    scale = np.where(peaks > 0.0, peaks, np.inf)
     marks = workspace.efforts[workspace.worst, range(len(peaks))] / scale
     for i, limit in enumerate(workspace.limits):
         colour = style.BLUE if np.isfinite(limit) else style.GREY
         axes.axhline(i, color=style.PALE, linewidth=0.7, zorder=0)
-        if not is_zero[i]:
+        if peaks[i] > 0.0:
             _draw_row(axes, i, workspace.efforts[workspace.sampled, i] / scale[i], colour)
         axes.plot(
             [marks[i]], [i], 'D', color=style.RED if peaks[i] > limit else colour, markersize=4.5
         )
-    labels = [f'{name}  {i}' for i, name in enumerate(style.fitting(names), 1)]
+    labels = [f'{name}  {i}' for i, name in enumerate(all_shortened(names, 26), 1)]
     axes.set_yticks(range(len(names)), labels)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(-_REACH, _REACH)
     axes.set_xticks([-1.0, 0.0, 1.0], ['-worst', '0', '+worst'])
     axes.grid(axis='y', visible=False)
-    axes.set_title('distribution, own scales', fontsize=9)
+    axes.set_title('distribution, scaled per joint', fontsize=9)
     axes.tick_params(axis='x', labelsize=8.5)
 
 
@@ -105,6 +102,7 @@ def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
 def _draw_ratios(axes: Any, workspace: Workspace) -> None:
     """Draw the ratio of the worst effort to the limit as a bar for each joint."""
     count = len(workspace.limits)
+    shown = style.without_rounding(workspace.peaks)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
         is_beyond = bool(peak > limit)
         colour = style.RED if is_beyond else style.BLUE
@@ -114,7 +112,7 @@ def _draw_ratios(axes: Any, workspace: Workspace) -> None:
         axes.text(
             1.04,
             i,
-            _in_words(workspace, i),
+            style.peak_in_words(shown[i], limit, effort_unit(workspace.robot, i).strip()),
             transform=axes.get_yaxis_transform(),
             va='center',
             fontsize=8.5,
@@ -130,14 +128,6 @@ def _draw_ratios(axes: Any, workspace: Workspace) -> None:
         axes.axvline(1.0, color=style.RED, linewidth=1.2, linestyle='--')
         axes.set_xticks([1.0], ['100%'])
         axes.tick_params(axis='x', labelsize=8.5)
-
-
-def _in_words(workspace: Workspace, joint: int) -> str:
-    unit, limit = effort_unit(workspace.robot, joint).strip(), float(workspace.limits[joint])
-    peak = float(workspace.peaks[joint])
-    if peak <= _NEGLIGIBLE * float(np.max(workspace.peaks)):
-        peak = 0.0
-    return style.peak_in_words(peak, limit, unit)
 
 
 def draw_arm(

@@ -8,12 +8,12 @@ from typing import Any
 from ...analysis.diagnosis import ComparisonResult
 from ...report.compare_report import percent
 from ...report.diagnosis_text import amount
+from ...report.tables import all_shortened
 from . import style
 
 _MOST_ROWS = 10
 """With more joints than this, every joint has a small panel instead of a row."""
 _ACROSS = 3
-_POINTS = 1500
 _NAME_LETTERS = 18
 """Largest number of letters in a name above a small panel."""
 
@@ -28,12 +28,12 @@ def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
             figure, lines = _small(pyplot, result)
         style.set_title(figure, source, title)
         style.legend_below(figure, lines, _labels(result), ncols=3)
-        style.save(figure, path)
+        figure.savefig(path)
 
 
 def _labels(result: ComparisonResult) -> list[str]:
-    findings_too = ' and findings' if result.faults else ''
-    return ['measured', 'modelled', f'modelled, with fitted friction{findings_too}']
+    corrections = ' and corrections' if result.faults else ''
+    return ['measured', 'modelled', f'modelled, with fitted friction{corrections}']
 
 
 def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
@@ -47,7 +47,7 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
         figsize=(style.WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
         width_ratios=(1.6, 1.0),
     )
-    names = style.fitting([joint.name for joint in result.joints], 40)
+    names = all_shortened([joint.name for joint in result.joints], 40)
     for c, (left, right) in enumerate(axes):
         joint = result.joints[c]
         lines = _draw_efforts(left, result, c)
@@ -73,16 +73,9 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 
 def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
     """Draw a small panel for each joint, with efforts only."""
-    count = len(result.joints)
-    rows = -(-count // _ACROSS)
-    figure, axes = pyplot.subplots(
-        rows, _ACROSS, sharex=True, squeeze=False, figsize=(style.WIDTH, 1.3 + 1.15 * rows)
-    )
-    names = style.fitting([joint.name for joint in result.joints], _NAME_LETTERS)
-    for c, ax in enumerate(axes.flat):
-        if c >= count:
-            ax.set_axis_off()
-            continue
+    figure, panels = style.panels(pyplot, len(result.joints), _ACROSS, 1.15)
+    names = all_shortened([joint.name for joint in result.joints], _NAME_LETTERS)
+    for c, ax in enumerate(panels):
         joint = result.joints[c]
         lines = _draw_efforts(ax, result, c)
         ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
@@ -90,29 +83,21 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
             f'RMS {joint.rms_corrected:.2g}', loc='right', fontsize=8, pad=3, color=style.GREY
         )
         style.fewer_ticks(ax)
-    for ax in axes.flat[count - _ACROSS : count]:
-        ax.tick_params(labelbottom=True)
-    for ax in axes[-1]:
-        ax.set_xlabel('time [s]')
     return figure, lines
 
 
 def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
     """Draw the measured efforts as a wide line, with the modelled efforts on top."""
-    times = result.motion.times
     signals = (
-        (result.measured, {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),
+        (result.measured, style.MEASURED),
         (result.modelled, {'color': style.BLUE, 'linewidth': 1.1}),
         (result.corrected, {'color': style.ORANGE, 'linewidth': 1.1}),
     )
-    return [
-        ax.plot(*style.thinned(times, values[:, c], _POINTS), **look)[0]
-        for values, look in signals
-    ]
+    return style.draw_signals(ax, result.motion.times, c, signals)
 
 
 def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
     measured, times = result.measured[:, c], result.motion.times
     for modelled, colour in ((result.modelled, style.BLUE), (result.corrected, style.ORANGE)):
-        difference = style.thinned(times, measured - modelled[:, c], _POINTS)
+        difference = style.thinned(times, measured - modelled[:, c])
         ax.plot(*difference, color=colour, linewidth=0.9)

@@ -7,21 +7,17 @@ import math
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
 import numpy as np
 
+from ...report.tables import all_shortened, effort_unit
 from ...robot.model import Floats, RobotModel
 from ...simulation.demo.commander import History
 from ...simulation.demo.scenarios import Timeline
 from . import style
 
-MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]; the error axis shows at least this error
 ACROSS = 115  # letters that fit on a line above the axes
 LEGEND, KEY = 120, 8  # widths of the legend and of a line sample [letters]
-JOINT_COLOURS = (*style.COLOURS, style.DARK)
-DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
-"""Five line styles, which distinguish 35 joints in seven colours."""
 MOST_IN_ONE = 10
 """With more joints than this, the efforts of each joint have a separate row."""
 LEAST_FRACTION = 1e-3
@@ -30,13 +26,14 @@ LINE = 0.19  # height of a line of text [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
 
-def draw(
-    path: str | Path, robot: RobotModel, title: str, timeline: Timeline, history: History
-) -> None:
+def draw(robot: RobotModel, title: str, timeline: Timeline, history: History, path: Path) -> None:
     """Draw a run with its events, and write the picture."""
+    from matplotlib.figure import Figure
+
     panels = [_errors, _efforts] + ([_contact] if timeline.expected else [])
     lines = style.title_lines(*title.splitlines())
-    count, columns = len(robot.joint_names), _columns(robot, history)
+    count = len(robot.joint_names)
+    columns = max(1, min(4, LEGEND // (max(map(len, _labels(robot, history))) + KEY)))
     heights = [2.2] * len(panels)
     rows = len(lines)
     if count > MOST_IN_ONE:
@@ -60,52 +57,38 @@ def draw(
     figure.savefig(path)
 
 
-def _look(i: int) -> dict[str, Any]:
-    """Return colour and line style of a joint."""
-    return {
-        'color': JOINT_COLOURS[i % len(JOINT_COLOURS)],
-        'ls': DASHES[i // len(JOINT_COLOURS) % len(DASHES)],
-    }
-
-
 def _largest(history: History) -> Floats:
     """Return the largest magnitude of each joint's commanded effort [N m or N]."""
     largest: Floats = np.max(np.abs(np.nan_to_num(history.commands.rows)), axis=0, initial=0.0)
     return largest
 
 
-def _label(robot: RobotModel, history: History, i: int) -> str:
-    unit = 'N' if robot.is_prismatic_joint[i] else 'N m'
-    words = style.peak_in_words(_largest(history)[i], robot.effort_limits[i], unit)
-    return f'{robot.joint_names[i]}: {words}'
+def _labels(robot: RobotModel, history: History) -> list[str]:
+    """Return the name, the largest effort and the limit of each joint."""
+    largest = _largest(history)
+    return [
+        f'{name}: '
+        + style.peak_in_words(largest[i], robot.effort_limits[i], effort_unit(robot, i).strip())
+        for i, name in enumerate(robot.joint_names)
+    ]
 
 
-def _columns(robot: RobotModel, history: History) -> int:
-    """Return the number of columns that fit into the legend."""
-    longest = max(len(_label(robot, history, i)) for i in range(len(robot.joint_names)))
-    return max(1, min(4, LEGEND // (longest + KEY)))
-
-
-def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Reduce the number of points for drawing, and break lines at gaps in the data."""
-    step = max(1, len(times) // MOST_POINTS)
-    times, rows = times[::step], rows[::step]
-    gaps = np.flatnonzero(np.diff(times) > 0.2) + 1
-    times = np.insert(times, gaps, times[gaps - 1])
-    return times, np.insert(rows, gaps, np.nan, axis=0)
+def _position_errors(history: History) -> tuple[Floats, Floats]:
+    """Return times [s], and the position errors of all joints [mrad or mm]."""
+    times, rows = style.thinned(history.states.times, history.states.rows)
+    return times, 1000.0 * (rows[:, 1] - rows[:, 0])
 
 
 def _errors(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
-    times, rows = _thin(history.states.times, history.states.rows)
-    errors = 1000.0 * (rows[:, 1] - rows[:, 0])
+    times, errors = _position_errors(history)
     for i in range(len(robot.joint_names)):
-        axes.plot(times, errors[:, i], lw=1.4, **_look(i))
+        axes.plot(times, errors[:, i], lw=1.4, **style.look_of(i))
     if timeline.without is not None:
-        times, errors = _thin(*timeline.without)
-        for i in range(len(robot.joint_names)):
-            axes.plot(times, 1000.0 * errors[:, i], color=_look(i)['color'], lw=1.0, ls=':')
+        times, errors = style.thinned(*timeline.without)
+        for i, column in enumerate(1000.0 * errors.T):
+            axes.plot(times, column, color=style.look_of(i)['color'], lw=1.0, ls=':')
         axes.plot([], [], color='gray', lw=1.0, ls=':', label='without the IMU (calculated)')
-        axes.plot([], [], color='gray', lw=1.4, label='with it')
+        axes.plot([], [], color='gray', lw=1.4, label='with the IMU')
         axes.legend(loc='upper left', fontsize=9)
     axes.set_ylabel('error [mrad, mm]')
     axes.update_datalim([(0.0, -LEAST_ERROR), (0.0, LEAST_ERROR)])
@@ -119,37 +102,36 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
     The separate scales make small efforts legible. The labels contain the largest efforts and the
     limits.
     """
-    times, rows = _thin(history.commands.times, history.commands.rows)
+    times, rows = style.thinned(history.commands.times, history.commands.rows)
     largest = _largest(history)
     least = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.max(largest))
     scale = np.maximum(largest, LEAST_FRACTION * least)
     scale[scale == 0.0] = 1.0
     count = len(robot.joint_names)
-    labels = [_label(robot, history, i) for i in range(count)]
+    labels = _labels(robot, history)
     if count > MOST_IN_ONE:
         # One row per joint, because this many lines in one frame are illegible.
         for i in range(count):
-            axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
+            axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **style.look_of(i))
         axes.set_yticks(range(count), labels, fontsize=8)
         axes.set_ylim(count - 0.4, -0.6)
-        axes.set_title('commanded efforts; labels state the largest', fontsize=9, loc='left')
+        axes.set_title('commanded efforts (labels: largest efforts)', fontsize=9, loc='left')
         return
     for i, label in enumerate(labels):
-        axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
-    axes.set_ylabel('commanded effort\n[% of largest, see below]')
+        axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **style.look_of(i))
+    axes.set_ylabel('commanded effort\n[% of the largest, see legend]')
 
 
 def _contact(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
     assert timeline.expected is not None
-    times, rows = _thin(history.external.times, history.external.rows)
+    times, rows = style.thinned(history.external.times, history.external.rows)
     for i in range(len(robot.joint_names)):
-        axes.plot(times, rows[:, i], lw=1.4, **_look(i))
-    times, states = _thin(history.states.times, history.states.rows)
+        axes.plot(times, rows[:, i], lw=1.4, **style.look_of(i))
+    times, states = style.thinned(history.states.times, history.states.rows)
     known = ~np.isnan(states[:, 0]).any(axis=1)
     times = times[known]
     expected = timeline.expected(times, states[known, 0])
-    for i in range(len(robot.joint_names)):
-        axes.plot(times, expected[:, i], color='black', lw=0.9, ls='--')
+    axes.plot(times, expected, color='black', lw=0.9, ls='--')
     axes.plot([], [], color='gray', lw=1.4, label='found by the node')
     axes.plot([], [], color='black', lw=0.9, ls='--', label='$-J^T F$')
     axes.legend(loc='upper left', fontsize=9)
@@ -213,14 +195,11 @@ def draw_identification(
         more = bars.get_legend_handles_labels()
         style.set_title(figure, title)
         style.legend_below(figure, [*handles, *more[0]], [*labels, *more[1]], ncols=5)
-        style.save(figure, path)
+        figure.savefig(path)
 
 
 def _draw_errors(axes: Any, history: History, names: tuple[str, ...]) -> None:
-    times, rows = history.states.times, history.states.rows
-    shown = slice(None, None, max(1, len(times) // MOST_POINTS))
-    errors = 1000.0 * (rows[shown, 1] - rows[shown, 0])
-    style.draw_lines(axes, times[shown], errors, names, linewidth=1.2)
+    style.draw_lines(axes, *_position_errors(history), names)
 
 
 def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats]) -> None:
@@ -230,11 +209,11 @@ def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats])
     axes.barh(places - 0.18, before, 0.34, color=style.ORANGE, label='RMS with the URDF')
     axes.barh(places + 0.18, after, 0.34, color=style.BLUE, label='RMS with the calibrated URDF')
     for place, first, second in zip(places, before, after, strict=True):
-        text = f' {first / max(second, 1e-9):.3g} times'
+        text = f' {first / max(second, 1e-9):.3g} times better'
         axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=style.GREY)
     axes.set_xscale('log')
     axes.set_xlim(0.5 * float(np.min(after)), 8.0 * float(np.max(before)))
-    axes.set_yticks(places, style.fitting(names, 22), fontsize=8.5)
+    axes.set_yticks(places, all_shortened(names, 22), fontsize=8.5)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel('RMS error [mrad, mm]', fontsize=9)
     axes.grid(axis='y', visible=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from ...analysis.sizing import EffortRequirements
 from ...dynamics.trajectory import Trajectory
-from ...report.tables import effort_unit
+from ...report.tables import all_shortened, effort_unit
 from ...robot.model import RobotModel
 from . import style
 
@@ -23,10 +22,6 @@ _PARTS = {
 _LABELS = {'inertial': 'inertia', 'coriolis': 'velocity'}
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
 """Largest number of letters in a name above a panel, for each number of columns."""
-_NEGLIGIBLE = 1e-6
-"""Efforts smaller than this fraction of the largest effort are rounding errors."""
-_MOST_DRAWN = 1500
-"""Largest number of states to draw; more states would not be visible."""
 
 
 def draw(
@@ -35,25 +30,14 @@ def draw(
     """Draw a panel for each joint, and write the picture."""
     m = len(fine.joint_names)
     columns = 1 if m == 1 else 2 if m <= 12 else 3
-    rows = math.ceil(m / columns)
-    height = min(60.0, 1.3 + 1.7 * rows if rows > 1 else 3.6)
+    names = all_shortened(fine.joint_names, _NAME_LETTERS[columns])
     with style.styled_pyplot() as pyplot:
-        figure, grid = pyplot.subplots(
-            rows, columns, figsize=(style.WIDTH, height), sharex=True, squeeze=False
-        )
-        panels = grid.ravel()
-        names = style.fitting(fine.joint_names, _NAME_LETTERS[columns])
-        for k, axes in enumerate(panels[:m]):
+        figure, panels = style.panels(pyplot, m, columns, 1.7 if m > 2 else 2.3)
+        for k, axes in enumerate(panels):
             _draw_joint(axes, robot, fine, requirements, k, names[k])
-        for axes in panels[m:]:
-            axes.set_visible(False)
-        for axes in panels[max(0, m - columns) : m]:
-            axes.tick_params(labelbottom=True)
-        for axes in grid[-1]:
-            axes.set_xlabel('time [s]')
         style.legend_below(figure, *panels[0].get_legend_handles_labels(), ncols=6)
         style.set_title(figure, *title.splitlines())
-        style.save(figure, path)
+        figure.savefig(path)
 
 
 def _draw_joint(
@@ -79,16 +63,16 @@ def _draw_joint(
         requirements.peak_time[k], requirements.peak[k], 'D', color=colour, markersize=5, zorder=5
     )
 
-    limit, peak = float(requirements.effort_limits[k]), abs(float(requirements.peak[k]))
+    limit = float(requirements.effort_limits[k])
+    peak = style.without_rounding(np.abs(requirements.peak))[k]
     low, high = axes.get_ylim()
     # Distant limits are only in the title, because they would flatten the curves.
     if limit < 2.5 * peak:
         for end in (-limit, limit):
             if low - limit < end < high + limit and end * requirements.peak[k] >= 0.0:
                 axes.axhline(end, color=style.RED, linestyle='--', linewidth=1.2)
-    if peak <= _NEGLIGIBLE * float(np.max(np.abs(requirements.peak))):
-        axes.set_ylim(-1.0, 1.0)  # the efforts are only rounding errors
-        peak = 0.0
+    if peak == 0.0:
+        axes.set_ylim(-1.0, 1.0)
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
     words = style.peak_in_words(peak, limit, unit)
     # The name has its own line, because it may be as wide as the panel.
@@ -100,7 +84,7 @@ def _draw_joint(
 def _shown(fine: Trajectory, requirements: EffortRequirements, k: int) -> Any:
     """Select the states to draw: evenly spaced states and the peak."""
     count = len(fine.times)
-    if count <= _MOST_DRAWN:
+    if count <= style.MOST_POINTS:
         return slice(None)
     peak = int(np.argmax(np.abs(requirements.efforts[:, k])))
-    return np.unique(np.append(np.linspace(0, count - 1, _MOST_DRAWN).astype(int), peak))
+    return np.unique(np.append(np.linspace(0, count - 1, style.MOST_POINTS).astype(int), peak))

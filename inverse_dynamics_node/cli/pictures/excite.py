@@ -54,7 +54,7 @@ def draw(
         handles, labels = axes.get_legend_handles_labels()
         panels: list[tuple[str, Floats]] = [
             ('position\n[% of range]', (q - limits.middle) / limits.half * 100.0),
-            ('speed\n[% of limit used]', qd / limits.speeds * 100.0),
+            ('speed\n[% of allowed speed]', qd / limits.speeds * 100.0),
             _efforts_panel(efforts[shown], limits.efforts[limits.index]),
         ]
         below: Any = None
@@ -75,7 +75,7 @@ def draw(
             else 'All distances are above 0.3 m.',
         )
         style.legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
-        style.save(figure, path)
+        figure.savefig(path)
 
 
 def _draw_view(
@@ -124,12 +124,12 @@ def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
     """Return a label, and the efforts in percent of the limit, or of the peak without a limit."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
-    of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'
+    of = 'of allowed effort' if has_limit.all() else 'of allowed effort, or of peak'
     return f'effort\n[% {of}]', efforts / np.where(has_limit, limits, peak) * 100.0
 
 
 def _draw_lines(axes: Any, times: Floats, values: Floats, names: tuple[str, ...]) -> None:
     for end in (-100.0, 100.0):
         axes.axhline(end, color=style.RED, linewidth=0.9, linestyle='--')
-    style.draw_lines(axes, times, values, names, linewidth=1.3)
+    style.draw_lines(axes, times, values, names)
     axes.set_ylim(-112.0, 112.0)

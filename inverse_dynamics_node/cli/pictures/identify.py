@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from ...analysis.identification import IdentificationResult
+from ...report.tables import all_shortened, shortened
 from . import style
 
 _MOST_ROWS = 8
 """With more joints than this, only the joints with the largest residuals are drawn."""
-_POINTS = 1200
 _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ('measured', 'measured', {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),
+    ('measured', 'measured', style.MEASURED),
     ('urdf', 'URDF', {'color': style.BLUE, 'linewidth': 0.9}),
     ('friction', 'URDF with fitted friction', {'color': style.ORANGE, 'linewidth': 0.9}),
     ('identified', 'identified', {'color': style.GREEN, 'linewidth': 1.2}),
@@ -37,13 +37,13 @@ def draw(result: IdentificationResult, source: str, path: Path) -> None:
             lines = _draw_efforts(ax, result, joint)
             ax.tick_params(labelbottom=row == len(shown) - 1)
             axes.append(ax)
-        axes[-1].set_xlabel('time, unseen data [s]')
+        axes[-1].set_xlabel('time in the unseen data [s]')
         figure.align_ylabels(axes)
         _draw_residuals(figure.add_subplot(right[0]), result)
         _draw_masses(figure.add_subplot(right[1]), result)
         style.set_title(figure, source, f'{result.verdict}.')
         style.legend_below(figure, lines, [label for _, label, _ in _LOOKS], ncols=4)
-        style.save(figure, path)
+        figure.savefig(path)
 
 
 def _shown(result: IdentificationResult) -> list[int]:
@@ -54,11 +54,9 @@ def _shown(result: IdentificationResult) -> list[int]:
 
 def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any]:
     unseen, found = result.unseen, result.joints[joint]
-    lines = [
-        ax.plot(*style.thinned(unseen.times, getattr(unseen, name)[:, joint], _POINTS), **look)[0]
-        for name, _, look in _LOOKS
-    ]
-    ax.set_title(style.fitting([found.name], 40)[0], fontsize=9.5, pad=3)
+    signals = [(getattr(unseen, name), look) for name, _, look in _LOOKS]
+    lines = style.draw_signals(ax, unseen.times, joint, signals)
+    ax.set_title(shortened(found.name, 40), fontsize=9.5, pad=3)
     residuals = found.unseen
     text = (
         f'RMS residual: {residuals.urdf:.2g}, {residuals.friction:.2g}, {residuals.identified:.2g}'
@@ -82,7 +80,7 @@ def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
         ax.plot([value, value], [place - 0.4, place + 0.4], color='black', linewidth=1.0)
     ax.set_xlim(0.0, min(1.6, 1.05 * max(1.0, *(j.unseen.friction / m for j, m in zip(
         joints, measured, strict=True)))))  # fmt: skip
-    ax.set_yticks(places, style.fitting([joint.name for joint in joints], 16), fontsize=8.5)
+    ax.set_yticks(places, all_shortened([joint.name for joint in joints], 16), fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
     ax.set_title('RMS residual / measured (black: noise)', fontsize=9.5, pad=3)
@@ -100,15 +98,11 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
     ax.errorbar(after, places + 0.2, xerr=errors, fmt='none', ecolor='black', elinewidth=1.0,
                 capsize=2.0)  # fmt: skip
     ax.set_xlim(0.0, 1.15 * max(*before, *after, 1e-9))
-    labels = [
-        f'{name} {body.data_fraction:.0%}'
-        for name, body in zip(
-            style.fitting([body.link for body in bodies], 16), bodies, strict=True
-        )
-    ]
+    names = all_shortened([body.link for body in bodies], 16)
+    labels = [f'{name} {body.data_fraction:.0%}' for name, body in zip(names, bodies, strict=True)]
     ax.set_yticks(places, labels, fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
     rejected = '' if result.accepted else ', not accepted'
-    ax.set_title(f'Mass [kg], % determined on its own{rejected}', fontsize=9.5, pad=3)
+    ax.set_title(f'Mass [kg], and % determined on its own{rejected}', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 import math
 from pathlib import Path
@@ -15,22 +15,31 @@ from ...report.tables import all_shortened, number, wrapped
 from ...robot.model import Floats
 from ..output_files import new_file
 
-BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
+BLUE, ORANGE, GREEN, PINK, SKY, RED = (
     '#0072B2',
     '#E69F00',
     '#009E73',
     '#CC79A7',
     '#56B4E9',
     '#D55E00',
-    '#F0E442',
 )
 """The palette of Okabe and Ito, which is suitable for colour-blind readers."""
-COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
-_DASHES = ('-', '--', ':', '-.')
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
+MEASURED = {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}
+"""Look of measured values, which other lines may cover."""
+_COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED, DARK)
+_DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
+"""Five line styles, which distinguish 35 joints in seven colours."""
 WIDTH = 9.0
 """Width of a picture [inch]; at 100 dots per inch, the text is legible in a README."""
+_MOST_HEIGHT = 60.0  # [inch]
 DPI = 100
+MOST_POINTS = 1500
+"""Approximate number of points in a line; more points would not be visible."""
+_SHORTEST_GAP = 0.2
+"""Shortest gap in time that breaks a line [s]."""
+_NEGLIGIBLE = 1e-6
+"""Efforts smaller than this fraction of the largest effort are rounding errors."""
 _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
 _TITLE_LINES = 5
@@ -45,7 +54,6 @@ _STYLE = {
     'axes.edgecolor': GREY,
     'axes.grid': True,
     'axes.labelcolor': DARK,
-    'axes.prop_cycle': COLOURS,  # converted below, because matplotlib is imported late
     'axes.spines.right': False,
     'axes.spines.top': False,
     'axes.titlelocation': 'left',
@@ -57,6 +65,7 @@ _STYLE = {
     'legend.fontsize': 9,
     'legend.frameon': False,
     'lines.linewidth': 1.6,
+    'savefig.dpi': DPI,
     'text.color': DARK,
     'xtick.color': DARK,
     'ytick.color': DARK,
@@ -69,15 +78,32 @@ def styled_pyplot() -> Iterator[Any]:
     import matplotlib
 
     matplotlib.use('Agg')
-    from cycler import cycler
     from matplotlib import pyplot
 
-    settings = {**_STYLE, 'axes.prop_cycle': cycler(color=_STYLE['axes.prop_cycle'])}
-    with matplotlib.rc_context(settings):
+    with matplotlib.rc_context(_STYLE):
         try:
             yield pyplot
         finally:
             pyplot.close('all')
+
+
+def panels(pyplot: Any, count: int, columns: int, row_height: float) -> tuple[Any, Any]:
+    """Return a figure, and `count` panels over the same time; `row_height` is in inch."""
+    rows = -(-count // columns)
+    figure, grid = pyplot.subplots(
+        rows,
+        columns,
+        sharex=True,
+        squeeze=False,
+        figsize=(WIDTH, min(_MOST_HEIGHT, 1.3 + row_height * rows)),
+    )
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    for axes in grid.flat[max(0, count - columns) : count]:
+        axes.tick_params(labelbottom=True)
+    for axes in grid[-1]:
+        axes.set_xlabel('time [s]')
+    return figure, grid.flat[:count]
 
 
 def title_lines(*paragraphs: str) -> list[str]:
@@ -131,7 +157,7 @@ def try_to_draw(
             raise
         print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
         return None
-    return Path(path)
+    return path
 
 
 def write_picture(draw: Callable[[Path], None], path: Path) -> None:
@@ -143,28 +169,40 @@ def write_picture(draw: Callable[[Path], None], path: Path) -> None:
         raise ModuleNotFoundError(str(error), name='matplotlib') from error
 
 
-def draw_lines(
-    axes: Any, times: Floats, values: Floats, names: Sequence[str], linewidth: float
-) -> None:
+def look_of(i: int) -> dict[str, Any]:
+    """Return the colour and the line style of joint `i`."""
+    return {
+        'color': _COLOURS[i % len(_COLOURS)],
+        'linestyle': _DASHES[i // len(_COLOURS) % len(_DASHES)],
+    }
+
+
+def draw_lines(axes: Any, times: Floats, values: Floats, names: Sequence[str]) -> None:
     """Draw a labelled line over time for each column of `values`."""
-    for k, name in enumerate(fitting(names, 22)):
-        axes.plot(
-            times,
-            values[:, k],
-            color=COLOURS[k % len(COLOURS)],
-            linestyle=_DASHES[k // len(COLOURS) % len(_DASHES)],
-            linewidth=linewidth,
-            label=name,
-        )
+    for k, name in enumerate(all_shortened(names, 22)):
+        axes.plot(times, values[:, k], linewidth=1.2, label=name, **look_of(k))
     axes.margins(x=0.0)
 
 
-def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
-    """Reduce the number of points to about `most`, with a break at every gap in time."""
-    step = max(1, len(times) // most)
+def draw_signals(
+    axes: Any, times: Floats, column: int, signals: Iterable[tuple[Floats, dict[str, Any]]]
+) -> list[Any]:
+    """Draw one column of each array in `signals` with the given look; return the lines."""
+    return [axes.plot(*thinned(times, values[:, column]), **look)[0] for values, look in signals]
+
+
+def thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Reduce the number of points, and break the line at every gap in time."""
+    step = max(1, len(times) // MOST_POINTS)
     t, y = times[::step], values[::step].copy()
-    y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
+    gap = max(_SHORTEST_GAP, 1.5 * step * np.median(np.diff(times)))
+    y[np.flatnonzero(np.diff(t) > gap)] = np.nan
     return t, y
+
+
+def without_rounding(peaks: Floats) -> Floats:
+    """Replace peak efforts that are only rounding errors by zero."""
+    return np.where(peaks <= _NEGLIGIBLE * np.max(peaks), 0.0, peaks)
 
 
 def fewer_ticks(*axes: Any) -> None:
@@ -182,13 +220,3 @@ def legend_below(
     legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
     height = legend.get_window_extent().height / figure.bbox.height
     figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))
-
-
-def save(figure: Any, path: str | Path) -> None:
-    """Write a figure in the format that the suffix of the path selects."""
-    figure.savefig(path, dpi=DPI)
-
-
-def fitting(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Replace the middle of long names by "…", so that the names fit beside an axis."""
-    return all_shortened(names, longest)

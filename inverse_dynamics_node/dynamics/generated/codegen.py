@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 from types import FunctionType
-from typing import Any, cast, NamedTuple
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,11 +28,8 @@ if IS_COMPILED:
     from numba.extending import intrinsic
 
 
-class Code(NamedTuple):
-    """The functions that `write_out` compiles; each function returns a status of `jit`."""
-
-    in_block: Callable[[], int]
-    in_arrays: Callable[[Any, Any, Any, Any], int]
+Code = tuple[Callable[[], int], Callable[[Any, Any, Any, Any], int]]
+"""Functions of the block in memory, and of q, qd, qdd and tau; each returns a status of `jit`."""
 
 
 def acting_numbers(table: Floats) -> Any:
@@ -55,9 +52,8 @@ def write_out(table: Floats, block: Floats) -> Code:
     """
     Compile `newton_euler.inverse_dynamics` for one robot.
 
-    ``table`` is from `robot_table`. ``block``, shape (4, n), contains q, qd, qdd and tau for
-    `Code.in_block`. The two arrays must exist as long as the code, because the code contains the
-    addresses of the arrays.
+    ``table`` is from `robot_table`. ``block``, shape (4, n), contains q, qd, qdd and tau. The two
+    arrays must exist as long as the code, because the code contains the addresses of the arrays.
 
     """
     n = block.shape[1]
@@ -86,10 +82,8 @@ def write_out(table: Floats, block: Floats) -> Code:
             return WRONG_SIZE
         return straight_line(q.ctypes.data, qd.ctypes.data, qdd.ctypes.data, tau.ctypes.data)
 
-    return Code(
-        _compile(in_block, 'int64()'),
-        _compile(in_arrays, 'int64(f8[::1], f8[::1], f8[::1], f8[::1])'),
-    )
+    signature = 'int64(f8[::1], f8[::1], f8[::1], f8[::1])'
+    return _compile(in_block, 'int64()'), _compile(in_arrays, signature)
 
 
 def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], int]:

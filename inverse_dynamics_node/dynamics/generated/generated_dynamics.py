@@ -28,15 +28,12 @@ class State(NamedTuple):
     """Joint efforts [N m or N]."""
 
 
-DOES_NOT_FIT = -1
-
-
 def no_code(*_: Any) -> int:
-    """Return `DOES_NOT_FIT`; used where no generated code fits the loads."""
-    return DOES_NOT_FIT
+    """Return a status other than `OK`; used where no generated code fits the loads."""
+    return -1
 
 
-NO_CODE = Code(no_code, no_code)
+NO_CODE: Code = no_code, no_code
 NO_CODE_WARNING = 'InverseDynamics is used because code generation failed with {!r}'
 
 

@@ -211,14 +211,14 @@ def _folded_friction(
 def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[ModelWarning]:
     """Return warnings about joints that move no mass."""
     if not bodies:
-        text = 'no joint can move: there is no effort to compute'
+        text = 'no joint can move, so there is no effort to compute'
         return [ModelWarning(text, 'check that this is the whole robot: every joint is fixed')]
     carried = mass.tolist()
     for body in range(len(bodies), 0, -1):
         carried[parents[body]] += carried[body]
     idle = [body.joint.name for i, body in enumerate(bodies, 1) if carried[i] == 0.0]
     if len(idle) == len(bodies):
-        text = 'no joint moves any mass: every gravity effort is zero'
+        text = 'no joint moves any mass, so every gravity effort is zero'
         return [ModelWarning(text, 'write <inertial>; without masses, all efforts are zero')]
     text = 'moves no mass, so its gravity effort is always zero'
     hint = 'write <inertial> for the links that this joint moves, unless the links are only frames'

@@ -23,7 +23,7 @@ from .schema import (
     VERSIONS,
     warn_if_misspelt,
 )
-from .xml import Element, is_xacro, MAX_LINKS, tag
+from .xml import children, Element, is_xacro, MAX_LINKS, tag
 
 
 def check(root: Element, needs_inertials: bool = False) -> Problems:
@@ -62,7 +62,7 @@ def check(root: Element, needs_inertials: bool = False) -> Problems:
 
 def _check_size(root: Element, problems: Problems) -> None:
     for kind in ('link', 'joint'):
-        count = sum(tag(element) == kind for element in root)
+        count = len(children(root, kind))
         if count > MAX_LINKS:
             problems.error(root, f'{count} {kind}s, expected at most {MAX_LINKS}')
 
@@ -70,8 +70,8 @@ def _check_size(root: Element, problems: Problems) -> None:
 def _by_name(root: Element, kind: str) -> dict[str, Element]:
     """Return the elements of a kind by name; a repeated name refers to the first element."""
     found: dict[str, Element] = {}
-    for element in root:
-        if tag(element) == kind and element.get('name'):
+    for element in children(root, kind):
+        if element.get('name'):
             found.setdefault(element.get('name'), element)
     return found
 
@@ -99,11 +99,9 @@ def _check_version(root: Element, problems: Problems) -> None:
 def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> None:
     """Check that the joints connect all links into one tree."""
     holders: dict[str, Element] = {}
-    children: defaultdict[str, list[str]] = defaultdict(list)
+    below: defaultdict[str, list[str]] = defaultdict(list)
     all_ends_known = True
-    for joint in root:
-        if tag(joint) != 'joint':
-            continue
+    for joint in children(root, 'joint'):
         ends = _check_ends(joint, links, problems)
         if ends is None:
             all_ends_known = False
@@ -114,14 +112,14 @@ def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) 
             problems.error(joint, f"link '{child}' has two parent joints: {pair}")
             continue
         holders[child] = joint
-        children[parent].append(child)
+        below[parent].append(child)
 
     if not links:
         problems.error_of_all('the robot has no links')
-    elif len(links) == 1 and not any(tag(element) == 'joint' for element in root):
+    elif len(links) == 1 and not children(root, 'joint'):
         problems.error_of_all('the robot has one link and no joints: nothing to command')
     elif all_ends_known:  # otherwise a broken joint explains why a link is not connected
-        _check_roots([name for name in links if name not in holders], links, children, problems)
+        _check_roots([name for name in links if name not in holders], links, below, problems)
 
 
 def _check_ends(
@@ -150,7 +148,7 @@ def _check_ends(
 def _check_roots(
     roots: list[str],
     links: Mapping[str, Element],
-    children: Mapping[str, list[str]],
+    below: Mapping[str, list[str]],
     problems: Problems,
 ) -> None:
     if not roots:
@@ -161,12 +159,12 @@ def _check_roots(
         problems.error_of_all(f'{len(roots)} root links: {names}; expected one')
     reached, waiting = set(roots), list(roots)
     while waiting:
-        found = [name for name in children.get(waiting.pop(), ()) if name not in reached]
+        found = [name for name in below.get(waiting.pop(), ()) if name not in reached]
         reached.update(found)
         waiting += found
     adrift = [f"'{name}'" for name in links if name not in reached]
     if adrift:
-        text = f"{len(adrift)} links are not connected to root '{roots[0]}' (cycle)"
+        text = f"{len(adrift)} links are not connected to root '{roots[0]}', because of a cycle"
         problems.error_of_all(f'{text}: {listed(adrift)}')
 
 
@@ -193,7 +191,7 @@ def check_mimic_loops(joints: Mapping[str, Element], problems: Problems) -> None
 
 def _only_child(element: Element, kind: str) -> Element | None:
     """Return the first child of a kind, or None."""
-    return next((child for child in element if tag(child) == kind), None)
+    return next(iter(children(element, kind)), None)
 
 
 def check_missing_inertials(
@@ -208,14 +206,12 @@ def check_missing_inertials(
     Links without a shape are frames. The root link is not checked, because it may be the ground.
 
     """
-    children = {
-        child.get('link') for joint in joints.values() for child in joint if tag(child) == 'child'
-    }
+    held = {end.get('link') for joint in joints.values() for end in children(joint, 'child')}
     text = 'has a shape but no <inertial>'
-    hint = 'write <inertial> from CAD; without it, the weight of this link is not compensated'
+    hint = 'add an <inertial> from CAD; without it, the weight of this link is not compensated'
     for name, link in links.items():
         parts = {tag(part) for part in link}
-        if name not in children or 'inertial' in parts or not parts & {'visual', 'collision'}:
+        if name not in held or 'inertial' in parts or not parts & {'visual', 'collision'}:
             continue
         if are_required:
             problems.error(link, f'{label(link)}: {text}')
@@ -240,18 +236,20 @@ def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> No
     count = len(masses)
     unit = [name for name in masses if tensors[name] == (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)]
     if len(unit) > 1:
-        text = f'{len(unit)} of {count} links with mass have the inertia 1 1 1 kg m^2'
-        _warn(links[unit[0]], f'{text} ({listed(unit, 4)})', problems)
+        text = f'{len(unit)} of {count} links with mass have ixx = iyy = izz = 1 kg m^2'
+        names = listed(unit[:4]) + ', ...' * (len(unit) > 4)
+        _warn(links[unit[0]], f'{text} ({names})', problems)
     if count < _FEWEST_ALIKE:
         return
-    alike = _with_most_common_value(tensors)
+    ((common, _),) = Counter(tensors.values()).most_common(1)
+    alike = [name for name, tensor in tensors.items() if tensor == common]
     # Identical modules of a chain have equal inertias and masses, but are not spheres.
-    ixx, ixy, ixz, iyy, iyz, izz = tensors[alike[0]]
+    ixx, ixy, ixz, iyy, iyz, izz = common
     is_sphere = ixx == iyy == izz and not (ixy or ixz or iyz)
     are_different = len({masses[name] for name in alike}) > 1
     if len(alike) >= _FRACTION_ALIKE * count and not unit and (is_sphere or are_different):
         text = f'{len(alike)} of {count} links with mass have the same inertia'
-        _warn(links[alike[0]], f'{text}, ixx {ixx:g} kg m^2', problems)
+        _warn(links[alike[0]], f'{text} (ixx = {ixx:g} kg m^2)', problems)
     heavy = [name for name, mass in masses.items() if mass == 1.0]
     if len(heavy) >= max(_FEWEST_ALIKE, _FRACTION_ALIKE * count):
         text = f'{len(heavy)} of {count} links with mass have a mass of 1 kg'
@@ -261,11 +259,6 @@ def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> No
 def _warn(link: Element, text: str, problems: Problems) -> None:
     hint = 'take mass, centre of mass and inertia from CAD'
     problems.warning(link, '', f'{text}, which looks like a placeholder', hint)
-
-
-def _with_most_common_value(values: Mapping[str, tuple[float, ...]]) -> list[str]:
-    common = Counter(values.values()).most_common(1)[0][0]
-    return [name for name, value in values.items() if value == common]
 
 
 def _numbers_of(link: Element, kind: str, names: Sequence[str]) -> tuple[float, ...] | None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...errors import unknown_name
 from ..limit_checks import limit_subject
-from ..model import ModelWarning
+from ..model import Floats, ModelWarning
 from .xml import Element, is_xacro, shortened, tag
 
 SUPPORTED_TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
@@ -29,13 +29,11 @@ Accepted versions of the URDF format, as in urdfdom 6.
 Version 1.1 added quaternions and capsules. Version 1.2 added limits that inverse dynamics does not
 need.
 """
-VERSIONS_WITH_QUATERNIONS = ('1.1', '1.2')
 
 
 def version_of(element: Element) -> str:
     """Return the URDF version that the document of an element declares."""
-    version: str = element.getroottree().getroot().get('version', '1.0')
-    return version
+    return str(element.getroottree().getroot().get('version', '1.0'))
 
 
 CHILDREN = {
@@ -80,6 +78,14 @@ def _scalars(*names: str) -> dict[str, int]:
 
 
 MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+
+
+def inertia_tensor(moments: Sequence[float]) -> Floats:
+    """Return the inertia with the values of `MOMENTS`, shape (3, 3)."""
+    ixx, ixy, ixz, iyy, iyz, izz = moments
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
 _SAFETY = ('soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')
 
 RULES = {
@@ -221,7 +227,8 @@ def check_attributes(
         # The value of <mass value="2"/> is called 'mass', not 'mass value'.
         what = kind if name == 'value' else f'{kind} {name}'
         if name not in rule.names and name not in rule.numbers:
-            if not rule.is_open and not _is_prefixed(name):
+            is_prefixed = ':' in name or name.startswith('{')
+            if not rule.is_open and not is_prefixed:
                 unknown = f"attribute '{name}' is unknown and ignored"
                 problems.warning(element, f'{where} {kind}', unknown, _SPELLING)
         elif is_xacro(text):
@@ -238,10 +245,6 @@ def check_attributes(
             else:
                 values[name] = numbers
     return values
-
-
-def _is_prefixed(name: str) -> bool:
-    return ':' in name or name.startswith('{')
 
 
 def _missing(kind: str, names: list[str]) -> str:
@@ -296,10 +299,9 @@ def check_rotation(
 def _check_quaternion(
     origin: Element, where: str, values: Mapping[str, tuple[float, ...]], problems: Problems
 ) -> None:
-    version = version_of(origin)
-    if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
+    if version_of(origin) == '1.0':
         # In this version, urdfdom ignores the attribute, and therefore the rotation.
-        text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; write 1.1, or use rpy'
+        text = 'quat_xyzw needs <robot version="1.1"> instead of 1.0; write 1.1, or use rpy'
         problems.error(origin, f'{where}: {text}')
     if 'rpy' in origin.attrib:
         problems.error(origin, f'{where} has both rpy and quat_xyzw, expected only one')
@@ -364,8 +366,7 @@ def _warn_of_odd_inertia(
         text = 'the mass is zero, but the inertia is not; the inertia is kept'
         hint = 'harmless for the rotor of a motor; otherwise write the mass'
         problems.warning(inertial, where, text, hint)
-    ixx, ixy, ixz, iyy, iyz, izz = (moment / largest for moment in moments)
-    principal = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    principal = np.linalg.eigvalsh(inertia_tensor([moment / largest for moment in moments]))
     slack = _MOMENT_TOLERANCE * float(np.abs(principal).sum())
     small, middle, large = (float(moment) for moment in principal)
     values = ', '.join(f'{moment * largest:.3g}' for moment in (small, middle, large))
@@ -380,7 +381,7 @@ def _warn_of_odd_inertia(
         problems.warning(inertial, where, text, _TENSOR_HINT)
     if mass > 0.0 and large * largest > _MAX_GYRATION**2 * mass:
         text = f'radius of gyration is more than {_MAX_GYRATION:g} m; inertias are in kg m^2'
-        hint = 'convert the inertia to kg m^2: numbers in g mm^2, from CAD, are 1e9 times larger'
+        hint = 'convert the inertia to kg m^2: numbers from CAD in g mm^2 are 1e9 times larger'
         problems.warning(inertial, where, text, hint)
 
 
@@ -389,7 +390,7 @@ def _warn_of_odd_inertia(
 _LIMITED_TYPES = ('revolute', 'prismatic')
 _UNSUPPORTED_TYPES = {
     'planar': 'use two prismatic joints and a continuous one, with massless links between them',
-    'floating': 'remove this joint: the motion of the base is an input',
+    'floating': 'remove this joint, because the motion of the base is given separately',
 }
 
 MIN_AXIS_LENGTH = 1e-6
@@ -410,8 +411,8 @@ def check_joint(joint: Element, joints: Mapping[str, Element], problems: Problem
         text = f"joint type '{kind}' is not supported; {_UNSUPPORTED_TYPES[kind]}"
         problems.error(joint, f'{where}: {text}')
     elif kind not in SUPPORTED_TYPES:
-        found = '' if kind is None else f' {quoted(kind)}'
-        text = f'type{found} is not one of {", ".join(SUPPORTED_TYPES)}'
+        found = 'is missing, expected' if kind is None else f'{quoted(kind)} is not'
+        text = f'type {found} one of {", ".join(SUPPORTED_TYPES)}'
         problems.error(joint, f'{where}: {text}')
 
     kinds = CHILDREN_OF_FIXED if kind == 'fixed' else CHILDREN['joint']
@@ -465,7 +466,7 @@ def _check_limit(
         for name, hint in _ZERO_LIMIT_HINTS.items():
             if values.get(name) == (0.0,):
                 subject = limit_subject(joint.get('name', ''), name)
-                text = f'0 is read as unknown, so the {name} is not limited'
+                text = f'0 means unknown, so the {name} is not limited'
                 problems.warning(limit, subject, text, hint)
     if kind in _LIMITED_TYPES:
         _check_range(joint, limit, values, problems)

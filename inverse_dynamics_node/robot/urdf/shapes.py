@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kinematics import rotation_of_rpy, rpy_of_quaternion
+from ..kinematics import rotation_of_origin
 from ..model import Floats, Integers
-from .xml import Element, parse, read_source, tag
+from .xml import children, Element, parse, read_source, tag
 
 
 class Shape(NamedTuple):
@@ -35,9 +35,9 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
     folder = None if source.name == 'URDF' else Path(path_or_xml).resolve().parent
     shapes: list[Shape] = []
     unreadable: dict[str, str] = {}
-    for link in _children(parse(source)[0], 'link'):
+    for link in children(parse(source)[0], 'link'):
         name = link.get('name')
-        for collision in _children(link, 'collision'):
+        for collision in children(link, 'collision'):
             try:
                 shapes.append(_shape(name, collision, folder))
             except Exception as error:  # trimesh raises the errors of many file readers
@@ -48,12 +48,10 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
 
 def _shape(link: str, collision: Element, folder: Path | None) -> Shape:
     rotation, position = np.eye(3), np.zeros(3)
-    for origin in _children(collision, 'origin')[:1]:
+    for origin in children(collision, 'origin')[:1]:
         position = _numbers(origin, 'xyz', '0 0 0')
-        if 'quat_xyzw' in origin.attrib:
-            origin.set('rpy', rpy_of_quaternion(origin.get('quat_xyzw')))
-        rotation = rotation_of_rpy(*_numbers(origin, 'rpy', '0 0 0'))
-    (geometry,) = _children(collision, 'geometry')
+        rotation = rotation_of_origin(origin.attrib)
+    (geometry,) = children(collision, 'geometry')
     (solid,) = [child for child in geometry if isinstance(child.tag, str)]
     mesh = _mesh(solid, folder)
     vertices = np.asarray(mesh.vertices, float) @ rotation.T + position
@@ -76,7 +74,7 @@ def _mesh(solid: Element, folder: Path | None) -> Any:
         create = trimesh.creation.cylinder if kind == 'cylinder' else trimesh.creation.capsule
         return create(radius=radius, height=length)
     if kind != 'mesh':
-        raise ValueError(f'<{kind}> is not a shape of URDF')
+        raise ValueError(f'<{kind}> is not a URDF shape')
     path = _mesh_file(solid.get('filename', ''), folder)
     mesh = trimesh.load(path, force='mesh', process=False)
     mesh.vertices = mesh.vertices * _numbers(solid, 'scale', '1 1 1')
@@ -103,10 +101,6 @@ def _mesh_file(name: str, folder: Path | None) -> Path:
         if path.is_file():
             return path
     raise ValueError(f"mesh '{name}' not found")
-
-
-def _children(element: Element, kind: str) -> list[Element]:
-    return [child for child in element if tag(child) == kind]
 
 
 def _numbers(element: Element, name: str, default: str | None = None) -> Floats:

@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from ..kinematics import rotation_of_rpy, rpy_of_quaternion
+from ..kinematics import rotation_of_origin
 from ..model import Floats
 from ..rigid_body import RigidBody
 from .schema import MOMENTS
@@ -109,44 +109,26 @@ def _end_of_tag(text: bytes, start: int) -> int:
 
 
 def _inertial_edits(text: bytes, link: _Node, body: RigidBody) -> Iterator[tuple[int, int, bytes]]:
+    place, amount = {'xyz': _numbers(body.com)}, {'value': f'{body.mass:.17g}'}
     inertial = link.first('inertial')
     if inertial is None:
-        yield _inserted(text, link, _inertial_text(body))
+        parts = {'origin': place, 'mass': amount, 'inertia': _moments(body.inertia)}
+        lines = [_INDENT + _element(kind, values) for kind, values in parts.items()]
+        yield _inserted(text, link, [b'<inertial>', *lines, b'</inertial>'])
         return
     origin = inertial.first('origin')
     mass, inertia = inertial.first('mass'), inertial.first('inertia')
     assert mass is not None
     assert inertia is not None
-    place = {'xyz': _numbers(body.com)}
+    rotation = np.eye(3)
     if origin is None:
         indent = _indent(text, mass.start)
         yield mass.start, mass.start, _element('origin', place) + indent
     else:
         yield _attributes(text, origin, place)
-    rotation = _rotation(origin)
-    yield _attributes(text, mass, {'value': f'{body.mass:.17g}'})
+        rotation = rotation_of_origin(origin.attributes)
+    yield _attributes(text, mass, amount)
     yield _attributes(text, inertia, _moments(rotation.T @ body.inertia @ rotation))
-
-
-def _rotation(origin: _Node | None) -> Floats:
-    """Return the rotation of the <origin> of an <inertial>."""
-    if origin is None:
-        return np.eye(3)
-    rpy = origin.attributes.get('rpy', '0 0 0')
-    if 'quat_xyzw' in origin.attributes:
-        rpy = rpy_of_quaternion(origin.attributes['quat_xyzw'])
-    roll, pitch, yaw = (float(word) for word in rpy.split())
-    return rotation_of_rpy(roll, pitch, yaw)
-
-
-def _inertial_text(body: RigidBody) -> list[bytes]:
-    return [
-        b'<inertial>',
-        _INDENT + _element('origin', {'xyz': _numbers(body.com)}),
-        _INDENT + _element('mass', {'value': f'{body.mass:.17g}'}),
-        _INDENT + _element('inertia', _moments(body.inertia)),
-        b'</inertial>',
-    ]
 
 
 def _friction_edits(

@@ -75,7 +75,7 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
         with open(path, 'rb') as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
-        hint = "; XML text starts with '<'" if isinstance(path, str) else ''
+        hint = "; XML text must start with '<'" if isinstance(path, str) else ''
         raise UrdfError([f'cannot be read: {error.strerror}{hint}'], name) from error
     except ValueError as error:  # a NUL or a lone surrogate in the path
         raise UrdfError([f'cannot be read: {error}'], name) from error
@@ -120,6 +120,11 @@ def tag(element: Element) -> str:
     return f'{element.prefix}:{local_name}' if element.prefix else local_name
 
 
+def children(element: Element, kind: str) -> list[Element]:
+    """Return the children of a kind, in file order."""
+    return [child for child in element if tag(child) == kind]
+
+
 def is_xacro(text: str) -> bool:
     """Return whether an attribute contains unprocessed xacro."""
     return '${' in text or '$(' in text
@@ -142,9 +147,8 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
 
 def declared_encoding(data: bytes) -> str:
     """Return the encoding that the byte order mark or the declaration states, or UTF-8."""
-    for mark, name in ((b'\xff\xfe', 'utf-16'), (b'\xfe\xff', 'utf-16')):
-        if data.startswith(mark):
-            return name
+    if data.startswith((b'\xff\xfe', b'\xfe\xff')):
+        return 'utf-16'
     found = _DECLARATION.match(data)
     declared = _ENCODING.search(found[0]) if found else None
     return declared[1].decode('ascii', 'replace') if declared else 'utf-8'

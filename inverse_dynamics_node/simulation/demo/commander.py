@@ -90,21 +90,19 @@ class History:
         rows = self.states.between(begin, end)
         if not len(rows):
             return np.full(self.states.rows.shape[2:] or (1,), math.nan)
-        largest: Floats = np.max(np.abs(rows[:, 1] - rows[:, 0]), axis=0)
-        return largest
+        return np.asarray(np.max(np.abs(rows[:, 1] - rows[:, 0]), axis=0))
 
 
 def resolved_acceleration(
-    reference: tuple[Floats, Floats, Floats], q: Floats, qd: Floats, kp: float, kd: float
+    reference: tuple[Floats, Floats, Floats], q: Floats, qd: Floats
 ) -> Floats:
     """
     Return the accelerations, shape (n,), that bring the joints back to their reference.
 
-    The reference consists of positions, velocities and accelerations. The unit of ``kp`` is 1/s^2,
-    and the unit of ``kd`` is 1/s.
+    The reference consists of positions, velocities and accelerations.
     """
     q_ref, qd_ref, qdd_ref = reference
-    return qdd_ref + kd * (qd_ref - qd) + kp * (q_ref - q)
+    return qdd_ref + KD * (qd_ref - qd) + KP * (q_ref - q)
 
 
 class Commander(Node):
@@ -216,7 +214,7 @@ class Commander(Node):
     def _send_accelerations(self, sample: tuple[Floats, Floats, Floats]) -> None:
         assert self.state is not None
         q, qd, _ = self.state
-        self._message.data = resolved_acceleration(sample, q, qd, KP, KD).tolist()
+        self._message.data = resolved_acceleration(sample, q, qd).tolist()
         self._accelerations.publish(self._message)
 
     def _send_reference(self, sample: tuple[Floats, Floats, Floats]) -> None:

@@ -73,7 +73,7 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
     if timeline.note:
         print(timeline.note)
     print(_environment_hint())
-    print(f'waiting for robot and node: {urdf}', flush=True)
+    print(f'waiting for the simulated robot and the node ({urdf})', flush=True)
     armature = setup.armature.tolist()
     friction = ['--friction', '--armature', *map(str, armature)] if options.friction else []
     parameters = {
@@ -113,9 +113,10 @@ def describe_rotors(setup: DemoSetup) -> str:
     rest = f' and {len(rotors) - MOST_LISTED} more' if len(rotors) > MOST_LISTED else ''
     listed = ', '.join(rotors[:MOST_LISTED]) + rest
     text = (
-        'The URDF gives friction to joints that have hardly any inertia: the rotors of the motors '
-        f'are missing. The demo adds rotor inertias to the robot and the node: {listed}. For your '
-        "robot, determine the rotor inertias and set the parameter 'armature' of the node."
+        'The URDF gives friction to joints that have hardly any inertia, because the rotors of '
+        'the motors are missing. The demo adds rotor inertias to the robot and the node: '
+        f'{listed}. For your robot, determine the rotor inertias and set the parameter '
+        "'armature' of the node."
     )
     return fill(text, 100, break_on_hyphens=False)
 
@@ -226,7 +227,9 @@ class DemoRun:
         if standing is not None:
             commander.follow(standing, records=False)
         self._wait(lambda: commander.commands > 0, 'the node sends no commands')
-        self._wait(lambda: not commander.brakes_on, 'the brakes stay on: no commands arrive')
+        self._wait(
+            lambda: not commander.brakes_on, 'the brakes stay on, because no commands arrive'
+        )
 
     def _wait_for_topics(self) -> None:
         """Wait for subscribers to event topics, and for external efforts if they are expected."""

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.kinematics import last_link
+from ...robot.kinematics import last_link, path_to
 from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
@@ -72,8 +72,7 @@ class DemoSetup:
     def inertia(self) -> Floats:
         """Inertia of each joint in the start pose while the other joints are free, shape (n,)."""
         mass_matrix = self._mass_matrix(InverseDynamics(self.robot))
-        effective: Floats = 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
-        return effective
+        return np.asarray(1.0 / np.diagonal(np.linalg.inv(mass_matrix)))
 
     @cached_property
     def slack(self) -> Floats:
@@ -81,8 +80,7 @@ class DemoSetup:
         if not self.friction:
             return np.zeros(len(self.start))
         compliance = np.abs(np.linalg.inv(self._mass_matrix(self.dynamics()))) / KP
-        error: Floats = compliance @ self.robot.friction
-        return error
+        return np.asarray(compliance @ self.robot.friction)
 
     def dynamics(self) -> InverseDynamics:
         """Return a new dynamics model with the same parameters as in the node."""
@@ -116,7 +114,9 @@ class DemoSetup:
 
     def capacity(self, link: str) -> float:
         """Return the load [kg] that a link can carry in the start pose within all drive limits."""
-        alone, change = self._effect(lambda dynamics: dynamics.set_payload(link, 1.0, GRIP))
+        alone, change = self._effect(
+            lambda dynamics: dynamics.set_payload(link, 1.0, GRIP), self.start
+        )
         lifting = np.abs(change) > 1e-9
         spare = self.robot.effort_limits - alone * np.sign(change)
         return float(np.min(spare[lifting] / np.abs(change[lifting]), initial=np.inf))
@@ -138,10 +138,7 @@ class DemoSetup:
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
         """Return the joint efforts -J^T F that balance the force F on a link."""
-        pushed, alone = InverseDynamics(self.robot), InverseDynamics(self.robot)
-        pushed.set_external_wrench(link, force)
-        difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
-        return difference
+        return self._effect(lambda dynamics: dynamics.set_external_wrench(link, force), q)[1]
 
     def _place(self, put: Put, limit: float, enough: float) -> tuple[str, float]:
         """
@@ -160,17 +157,17 @@ class DemoSetup:
                 break
         return chosen, most
 
-    def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
-        """Return the gravity efforts in the start pose, and the effect of a load or push."""
+    def _effect(self, put: Callable[[InverseDynamics], None], q: Floats) -> tuple[Floats, Floats]:
+        """Return the gravity efforts at positions, and the effect of a load or push."""
         dynamics = InverseDynamics(self.robot)
-        alone = dynamics.gravity_efforts(self.start)
+        alone = dynamics.gravity_efforts(q)
         put(dynamics)
-        return alone, dynamics.gravity_efforts(self.start) - alone
+        return alone, dynamics.gravity_efforts(q) - alone
 
     def _most(self, put: Put, link: str, limit: float) -> float:
         """Return the largest load or push that joints and drives withstand, at most ``limit``."""
         robot = self.robot
-        alone, change = self._effect(lambda dynamics: put(dynamics, link, 1.0))
+        alone, change = self._effect(lambda dynamics: put(dynamics, link, 1.0), self.start)
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
         alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # ignore unaffected joints
@@ -184,7 +181,5 @@ def links_towards_base(robot: RobotModel) -> list[str]:
     """Return one link per joint, from the hand towards the base."""
     link = last_link(robot)
     body = int(robot.link_body[robot.link_index(link)])
-    links = [link]
-    while (body := int(robot.parent[body])) > 0:
-        links.append(robot.link_names[int(np.flatnonzero(robot.link_body == body)[-1])])
-    return links
+    inner = reversed(path_to(robot, body)[:-1])
+    return [link, *(robot.link_names[np.flatnonzero(robot.link_body == b)[-1]] for b in inner)]

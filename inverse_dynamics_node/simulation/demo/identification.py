@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...robot.model import Floats, RobotModel
+from ...robot.model import Floats
 from ...robot.rigid_body import RigidBody
 from ...robot.urdf.writer import Friction, rewrite
 from ..trajectory import Reference
@@ -74,20 +74,10 @@ def unknown_robot(setup: DemoSetup) -> UnknownRobot:
         COULOMB * (setup.inertia + armature), LARGEST_FRICTION * robot.effort_limits
     )
     damping = coulomb / DAMPING_SPEED
-    return UnknownRobot(
-        rewrite(setup.urdf, inertials, _friction(robot, damping, coulomb)),
-        armature,
-        damping,
-        coulomb,
-    )
-
-
-def _friction(robot: RobotModel, damping: Floats, coulomb: Floats) -> dict[str, Friction]:
-    """Return the friction of all joints by name; mimic joints have no friction."""
-    friction = {name: Friction(0.0, 0.0) for name in robot.body_names[1:]}
-    for name, viscous, dry in zip(robot.joint_names, damping, coulomb, strict=True):
-        friction[name] = Friction(float(viscous), float(dry))
-    return friction
+    friction = dict.fromkeys(robot.mimic_names, Friction(0.0, 0.0))
+    for name, *values in zip(robot.joint_names, damping, coulomb, strict=True):
+        friction[name] = Friction(*map(float, values))
+    return UnknownRobot(rewrite(setup.urdf, inertials, friction), armature, damping, coulomb)
 
 
 def follow(
@@ -119,8 +109,7 @@ def follow(
 def rms_errors(history: History, duration: float) -> Floats:
     """Return the RMS position error of each joint, shape (n,) [rad or m]."""
     rows = history.states.between(0.0, duration)
-    errors: Floats = np.sqrt(np.mean((rows[:, 1] - rows[:, 0]) ** 2, axis=0))
-    return errors
+    return np.asarray(np.sqrt(np.mean((rows[:, 1] - rows[:, 0]) ** 2, axis=0)))
 
 
 def check_identification(

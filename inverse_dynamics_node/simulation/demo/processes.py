@@ -95,7 +95,7 @@ def unused_domain() -> Iterator[int]:
             if _is_unused(domain):
                 yield domain
                 return
-    raise SimulationError('all ROS domains from 1 to 100 are in use; set another with --domain')
+    raise SimulationError('all ROS domains from 1 to 100 are in use; choose another with --domain')
 
 
 def _is_unused(domain: int) -> bool:

@@ -67,11 +67,6 @@ class Recorder:
         for name, messages in self._messages.items():
             del messages[: -1 if name in self._latched else None]
 
-    @property
-    def count(self) -> int:
-        """Number of messages recorded so far."""
-        return sum(map(len, self._messages.values()))
-
     def write(self, folder: str | Path, storage: str = 'mcap') -> int:
         """
         Write all messages, sorted by time, to a new folder; return the number of messages.

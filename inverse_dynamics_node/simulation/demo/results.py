@@ -49,6 +49,10 @@ class Distance(NamedTuple):
     words: str
     """Error as text, in mrad or mm."""
 
+    def within(self, limit: float, when: str) -> tuple[bool, str]:
+        """Return a check for `result_of` that the error does not exceed a limit."""
+        return self.value <= limit, f'a joint was {self.words} off {when}'
+
 
 def worst(setup: DemoSetup, errors: Floats) -> Distance:
     """Return the largest of the position errors of all joints, shape (n,) [rad or m]."""
@@ -104,14 +108,8 @@ def check_payload(
     return result_of(
         f'the unknown load deflected a joint by {unknown.words}; once the node knew the load, all '
         f'joints stayed within {known.words}: {factor:.0f} times better',
-        (
-            before.value <= moving_limit(setup),
-            f'a joint was {before.words} off before the load was picked up',
-        ),
-        (
-            known.value <= moving_limit(setup),
-            f'a joint was {known.words} off although the node knew the load',
-        ),
+        before.within(moving_limit(setup), 'before the load was picked up'),
+        known.within(moving_limit(setup), 'although the node knew the load'),
         (
             factor >= LEAST_FACTOR,
             f'the error fell from {unknown.words} to {known.words} once the node knew the load: '
@@ -138,13 +136,13 @@ def check_push(
     after = worst(setup, history.largest_error(ended + SETTLED, np.inf))
     return result_of(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
-        f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
+        f'estimated -J^T F (up to {size:.3g} N m or N) to within {max(100.0 * off, 0.01):.2g} %',
         (off <= CONTACT_LIMIT, f'the estimated push is {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
         (
             noise <= CONTACT_LIMIT,
             f'before the push, the external efforts reached {noise:.1%} of the push',
         ),
-        (after.value <= rest_limit(setup), f'a joint was {after.words} off after the push'),
+        after.within(rest_limit(setup), 'after the push'),
     )
 
 
@@ -158,14 +156,12 @@ def check_tilt(
     return result_of(
         f'all joints stayed within {moved.words} while the base tilted, and within {rest.words} '
         f'at rest; without the IMU, the error would have been {lesser.words}',
-        (
-            moved.value <= moving_limit(setup),
-            f'a joint was {moved.words} off while the base tilted',
-        ),
-        (rest.value <= rest_limit(setup), f'a joint was {rest.words} off on the tilted base'),
+        moved.within(moving_limit(setup), 'while the base tilted'),
+        rest.within(rest_limit(setup), 'on the tilted base'),
         (
             lesser.value >= LEAST_FACTOR * moved.value,
-            f'without the IMU, the error would have been only {lesser.words}',
+            f'without the IMU, the error would have been only {lesser.words}, expected at least '
+            f'{LEAST_FACTOR:g} times {moved.words}',
         ),
     )
 
@@ -193,9 +189,9 @@ def check_sensor_lost(
             left == 0.0,
             f'{STOPPED:g} s after the last joint state, efforts were up to {left:.3g} N m or N',
         ),
-        (brakes == [True, False], f'the brakes must go on and then open; brakes on: {brakes}'),
-        (moved.value <= moving_limit(setup), f'a joint was {moved.words} off during the run'),
-        (end.value <= rest_limit(setup), f'a joint was {end.words} off at the end'),
+        (brakes == [True, False], f'the topic brakes received {brakes}, expected [True, False]'),
+        moved.within(moving_limit(setup), 'during the run'),
+        end.within(rest_limit(setup), 'at the end'),
     )
 
 
@@ -204,26 +200,19 @@ def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
     robot, duration, rate = setup.robot, setup.duration, history.command_rate()
     moving = history.largest_error(0.0, (1.0 - REST_FRACTION) * duration)
     rest = history.largest_error((1.0 - 0.5 * REST_FRACTION) * duration, math.inf)
+    most_moving, most_rest = tracking_limits(setup.slack)
+    columns = moving, most_moving, rest, most_rest
     wide = name_width(robot)
-    limits = tracking_limits(setup.slack)
-    # Without friction, all joints have the same limits, which the verdict contains.
-    head = ('moving', 'limit', 'at rest', 'limit') if setup.friction else ('moving', 'at rest')
-    widths = (13, 14, 15, 15) if setup.friction else (13, 15)
-    columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
-    print(f'{"largest error":{wide}}{columns}')
-    rows = zip(robot.joint_names, robot.is_prismatic_joint, moving, rest, *limits, strict=True)
-    for name, slide, moving_error, rest_error, moving_limit, rest_limit in rows:
+    print(f'{"largest error":{wide}}{"moving":>13}{"limit":>14}{"at rest":>15}{"limit":>15}')
+    for name, slide, *row in zip(
+        robot.joint_names, robot.is_prismatic_joint, *columns, strict=True
+    ):
         unit = 'mm' if slide else 'mrad'
-        cells = [f'{1000.0 * moving_error:8.3f} {unit:4}', f'{1000.0 * rest_error:10.4f} {unit:4}']
-        if setup.friction:
-            cells.insert(1, f'{1000.0 * moving_limit:9.3f} {unit:4}')
-            cells.append(f'{1000.0 * rest_limit:10.4f} {unit:4}')
-        print(f'{name:{wide}}{"".join(cells)}')
+        cells = zip(row, ('8.3f', '9.3f', '10.4f', '10.4f'), strict=True)
+        text = ''.join(f'{1000.0 * value:{form}} {unit:4}' for value, form in cells)
+        print(f'{name:{wide}}{text}')
     print(f'rate: {rate:.1f} of {setup.rate:.1f} commands/s ({rate / setup.rate - 1.0:+.1%})')
-    return ScenarioResult(
-        tracking_words(setup.slack),
-        tuple(find_failures(robot.joint_names, moving, rest, rate, setup.rate, setup.slack)),
-    )
+    return judge_tracking(setup, moving, rest, rate)
 
 
 def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
@@ -240,44 +229,38 @@ def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
 def tracking_words(slack: Floats) -> str:
     """Describe the limits on tracking errors and on the command rate."""
     parts = []
-    whens = 'mrad (mm) while moving', 'at rest'
+    whens = 'mrad (mm) while moving', 'mrad (mm) at rest'
     for limits, when in zip(tracking_limits(slack), whens, strict=True):
         least, most = (f'{1000.0 * limit:.3g}' for limit in (limits.min(), limits.max()))
         parts.append(f'{least} {when}' if least == most else f'{least} to {most} {when}')
     words = f'every joint stayed within {" and ".join(parts)}'
     if np.any(slack):
         words = f'{words} (limits in the table; they are wider where dry friction holds a joint)'
-    return f'{words}, and the rate within {RATE_LIMIT:.0%}'
+    return f'{words}; rate within {RATE_LIMIT:.0%}'
 
 
-def find_failures(
-    joint_names: tuple[str, ...],
-    moving: Floats,
-    rest: Floats,
-    rate: float,
-    expected_rate: float,
-    slack: Floats | float = 0.0,
-) -> list[str]:
-    """Describe errors beyond `tracking_limits`, and a wrong command rate."""
-    failures = []
-    moving_limits, rest_limits = tracking_limits(slack + np.zeros(len(joint_names)))
-    for when, errors, limits in (
-        ('while moving', moving, moving_limits),
-        ('at rest', rest, rest_limits),
-    ):
-        failures += [
-            f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, limit {1000 * most:.3g}'
-            for name, error, most in zip(joint_names, errors, limits, strict=True)
-            if not error <= most  # NaN, without measurements, is a failure
-        ]
-    if not abs(rate / expected_rate - 1.0) <= RATE_LIMIT:
-        cause = (
-            'another node publishes commands too, or the robot caught up after a pause'
-            if rate > expected_rate
-            else f'this machine is busy, or too slow for --rate {expected_rate:g}'
-        )
-        failures.append(
+def judge_tracking(setup: DemoSetup, moving: Floats, rest: Floats, rate: float) -> ScenarioResult:
+    """Compare the errors in motion and at rest, shape (n,), and the rate with their limits."""
+    whens, errors = ('while moving', 'at rest'), (moving, rest)
+    cause = (
+        'another node publishes commands too, or the robot caught up after a pause'
+        if rate > setup.rate
+        else f'this machine is busy, or too slow for --rate {setup.rate:g}'
+    )
+    return result_of(
+        tracking_words(setup.slack),
+        *(
+            (
+                error <= most,  # False for NaN, without measurements
+                f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, '
+                f'limit {1000 * most:.3g}',
+            )
+            for when, row, limits in zip(whens, errors, tracking_limits(setup.slack), strict=True)
+            for name, error, most in zip(setup.robot.joint_names, row, limits, strict=True)
+        ),
+        (
+            abs(rate / setup.rate - 1.0) <= RATE_LIMIT,
             f'{rate:.1f} commands/s received, '
-            f'expected {expected_rate:.1f} +- {RATE_LIMIT:.0%}: {cause}'
-        )
-    return failures
+            f'expected {setup.rate:.1f} +- {RATE_LIMIT:.0%}: {cause}',
+        ),
+    )

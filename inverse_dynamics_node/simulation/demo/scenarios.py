@@ -21,7 +21,6 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 import numpy as np
-from numpy.typing import ArrayLike
 from std_msgs.msg import Bool, Header
 
 from ...dynamics.inverse_dynamics import InverseDynamics
@@ -161,8 +160,7 @@ def push(setup: DemoSetup) -> Timeline:
 
     def expected(times: Floats, q: Floats) -> Floats:
         is_pushed = (times >= began) & (times < ended)
-        efforts: Floats = is_pushed[:, np.newaxis] * setup.external_efforts(link, force, q)
-        return efforts
+        return np.asarray(is_pushed[:, np.newaxis] * setup.external_efforts(link, force, q))
 
     return Timeline(
         standing(setup),
@@ -184,7 +182,7 @@ def tilted(setup: DemoSetup) -> Timeline:
     """Prepare a run in which the base tilts and stays tilted."""
     began = 0.25 * setup.duration
     settled = began + TILT_DURATION + results.SETTLED
-    without = held_without_imu(setup, TILT, began)
+    without = held_without_imu(setup, began)
     attitude = Vector3Stamped(vector=Vector3(x=TILT[0], y=TILT[1], z=TILT[2]))
     return Timeline(
         standing(setup),
@@ -198,20 +196,19 @@ def tilted(setup: DemoSetup) -> Timeline:
     )
 
 
-def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
+def held_without_imu(setup: DemoSetup, began: float) -> tuple[Floats, Floats]:
     """
     Simulate computed torque on a tilting base without an IMU; return times and position errors.
 
-    The base begins to tilt at the time ``began`` [s]. The final ``attitude`` is a rotation vector
-    relative to the level base, shape (3,) [rad]. Times have shape (k,) [s], and errors have shape
-    (k, n) [rad or m].
+    The base begins to tilt at the time ``began`` [s]. Times have shape (k,) [s], and errors have
+    shape (k, n) [rad or m].
     """
     simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False
     dynamics = InverseDynamics(setup.robot)
     order = [simulated.state_names.index(name) for name in setup.robot.joint_names]
     tilt = Tilt()
-    tilt.turn_to(attitude, began)
+    tilt.turn_to(TILT, began)
     times = np.arange(0.0, setup.duration, SIMULATED_PERIOD)
     errors = np.zeros((len(times), len(setup.start)))
     for time, error in zip(times, errors, strict=True):
@@ -244,7 +241,10 @@ COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
 PATIENT = {'state_timeout': '0.5'}
 SCENARIOS = {
     'track': Scenario(
-        'follow a trajectory by resolved accelerations', track, 'accelerations', least_duration=2.0
+        'follow a trajectory with resolved-acceleration control',
+        track,
+        'accelerations',
+        least_duration=2.0,
     ),
     'hold': Scenario(
         'gravity compensation: the arm stays where it is',
@@ -275,7 +275,7 @@ SCENARIOS = {
         robot=('--imu-orientation', *map(str, IMU_ORIENTATION)),
     ),
     'sensor-lost': Scenario(
-        'stop the joint states for a while: efforts ramp to zero',
+        'stop the joint states for a while: the efforts ramp down to zero',
         sensor_lost,
         parameters=COMPUTED_TORQUE,
     ),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...errors import unknown_name
 from ...robot.model import Booleans, Floats, RobotModel
+from ..trajectory import with_unit_diagonal
 from .model import compile_model, LARGEST_STEP, SimulationError
 from .world import World
 
@@ -105,18 +106,16 @@ class MujocoRobot:
 
     def positions(self) -> Floats:
         """Return the positions of ``robot.joint_names`` [rad or m]."""
-        positions: Floats = self._data.qpos[self._order].copy()
-        return positions
+        return np.asarray(self._data.qpos[self._order])
 
     def velocities(self) -> Floats:
         """Return the velocities of ``robot.joint_names`` [rad/s or m/s]."""
-        velocities: Floats = self._data.qvel[self._order].copy()
-        return velocities
+        return np.asarray(self._data.qvel[self._order])
 
     def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
         """Make the joints follow positions, velocities and accelerations, each of shape (n,)."""
         kp, kd = DRIVE_GAINS
-        error, rate = q - self.positions(), qd - self._data.qvel[self._order]
+        error, rate = q - self.positions(), qd - self.velocities()
         efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()
         self.command(efforts[self._free])
 
@@ -158,35 +157,24 @@ class MujocoRobot:
         self._data.qvel[:] = 0.0
         mujoco.mj_forward(self._model, self._data)
 
-    def accelerations(self) -> Floats:
-        """Return the accelerations of ``robot.joint_names`` as if the brakes were open."""
-        mujoco.mj_forward(self._model, self._data)
-        self.world.act()
-        mujoco.mj_forward(self._model, self._data)
-        accelerations: Floats = self._data.qacc[self._order]
-        return accelerations
-
     def mass_matrix(self) -> Floats:
         """Return the current mass matrix, including mimic joints, shape (n, n)."""
         velocities = self._coupling.T.copy()
         momenta = np.zeros(velocities.shape)
         for row, velocity in zip(momenta, velocities, strict=True):
             mujoco.mj_mulM(self._model, self._data, row, velocity)
-        inertia: Floats = momenta @ self._coupling
-        return inertia
+        return np.asarray(momenta @ self._coupling)
 
     def bias_efforts(self) -> Floats:
         """Return efforts due to gravity and velocities, including mimic joints, shape (n,)."""
-        efforts: Floats = self._coupling.T @ self._data.qfrc_bias
-        return efforts
+        return np.asarray(self._coupling.T @ self._data.qfrc_bias)
 
     def gravity_efforts(self) -> Floats:
         """Return the joint efforts due to gravity only, including payloads, shape (n,)."""
         self._at_rest.qpos[:] = self._data.qpos
         mujoco.mj_fwdPosition(self._model, self._at_rest)
         mujoco.mj_fwdVelocity(self._model, self._at_rest)
-        efforts: Floats = self._coupling.T @ self._at_rest.qfrc_bias
-        return efforts
+        return np.asarray(self._coupling.T @ self._at_rest.qfrc_bias)
 
     def _hold(self, joints: Collection[str]) -> None:
         """Add springs and dampers to joints, so that each joint is critically damped."""
@@ -215,11 +203,9 @@ def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
 
 def _without_inertia(inertia: Floats) -> Booleans:
     """Return which joints move no mass, or cannot move mass independently of other joints."""
-    diagonal = inertia.diagonal()
-    idle: Booleans = np.asarray(diagonal < LEAST_INERTIA)
+    idle = np.asarray(inertia.diagonal() < LEAST_INERTIA)
     if idle.any():
         return idle
-    scale = 1.0 / np.sqrt(diagonal)
-    independence, mixtures = np.linalg.eigh(inertia * np.outer(scale, scale))
+    independence, mixtures = np.linalg.eigh(with_unit_diagonal(inertia))
     singular = mixtures[:, independence < LEAST_INDEPENDENCE]
     return np.asarray((abs(singular) > 0.1).any(axis=1))

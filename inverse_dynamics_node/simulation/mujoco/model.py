@@ -25,6 +25,7 @@ from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import InverseDynamicsError
 from ...robot.kinematics import rpy_of_quaternion
 from ...robot.model import Floats
+from ...robot.urdf.schema import inertia_tensor, MOMENTS
 from ...robot.urdf.xml import Element, parse, read_source, tag
 
 OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older versions ignore <mimic>
@@ -105,10 +106,7 @@ def _mass_and_inertia(link: Element) -> tuple[float, Floats]:
     element = link.find('inertial/inertia')
     if element is None:
         return 0.0, np.zeros((3, 3))
-    xx, xy, xz, yy, yz, zz = (
-        float(element.get(name, 0.0)) for name in ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
-    )
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    inertia = inertia_tensor([float(element.get(name, 0.0)) for name in MOMENTS])
     return float(link.find('inertial/mass').get('value')), inertia
 
 

@@ -7,7 +7,6 @@ rotates gravity and adds the inertial forces of the rotating frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -49,7 +48,6 @@ class World:
         self._wrenches: dict[int, tuple[Floats, Floats]] = {}
         self._angular_velocity: Floats = np.zeros(3)
         self._angular_acceleration: Floats = np.zeros(3)
-        self.gravity: Floats = np.array(STANDARD_GRAVITY)
 
     def set_payload(
         self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
@@ -87,10 +85,7 @@ class World:
             self._wrenches[body] = wrench
 
     def set_base_motion(
-        self,
-        gravity: ArrayLike,
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+        self, gravity: ArrayLike, angular_velocity: ArrayLike, angular_acceleration: ArrayLike
     ) -> None:
         """
         Set gravity and the rotation of the base about its fixed origin.
@@ -98,8 +93,7 @@ class World:
         All vectors have shape (3,) and are in the base frame. ``gravity`` is the free-fall
         acceleration [m/s^2]. Angular velocity and acceleration are in rad/s and rad/s^2.
         """
-        self.gravity = np.array(gravity, float)
-        self._model.opt.gravity[:] = self.gravity
+        self._model.opt.gravity[:] = gravity
         self._angular_velocity = np.asarray(angular_velocity, float)
         self._angular_acceleration = np.asarray(angular_acceleration, float)
 
@@ -127,8 +121,7 @@ class World:
         tensor = np.einsum('bij,bj,bkj->bik', R, model.body_inertia, R)
 
         def spin(vectors: Floats) -> Floats:
-            product: Floats = np.einsum('bij,bj->bi', tensor, vectors)
-            return product
+            return np.asarray(np.einsum('bij,bj->bi', tensor, vectors))
 
         total = base + omega
         moment = spin(base_dot + np.cross(base, omega))
@@ -151,8 +144,7 @@ def _inertia(model: Any, body: int) -> Floats:
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, model.body_iquat[body])
     R_LC = R.reshape(3, 3)
-    inertia: Floats = R_LC @ np.diag(model.body_inertia[body]) @ R_LC.T
-    return inertia
+    return np.asarray(R_LC @ np.diag(model.body_inertia[body]) @ R_LC.T)
 
 
 def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Floats) -> None:
@@ -171,16 +163,13 @@ def rotation(vector: ArrayLike) -> Floats:
     return rotation_about(vector / angle, angle) if angle else np.eye(3)
 
 
-@dataclass(eq=False)
 class Tilt:
     """The attitude of a base over time; the base is level at first."""
 
-    began: float = -np.inf
-    """Start time of the latest turn [s]."""
-    level: Floats = field(default_factory=lambda: np.eye(3))
-    """Rotation matrix, shape (3, 3), from the base frame at ``began`` to the level frame."""
-    turn: Floats = field(default_factory=lambda: np.zeros(3))
-    """Rotation vector of the complete latest turn, in the base frame, shape (3,) [rad]."""
+    def __init__(self) -> None:
+        self._began = -np.inf  # start time of the latest turn [s]
+        self._level = np.eye(3)  # rotation from the base frame at that time to the level frame
+        self._turn = np.zeros(3)  # rotation vector of the complete turn, in the base frame [rad]
 
     def turn_to(self, attitude: ArrayLike, time: float) -> None:
         """
@@ -188,18 +177,16 @@ class Tilt:
 
         The attitude is a rotation vector relative to the level base, shape (3,) [rad].
         """
-        self.level = self.attitude(time)
-        self.began = time
-        quaternion, turn = np.zeros(4), np.zeros(3)
-        mujoco.mju_mat2Quat(quaternion, (self.level.T @ rotation(attitude)).ravel())
-        mujoco.mju_quat2Vel(turn, quaternion, 1.0)
-        self.turn = turn
+        self._level = self.attitude(time)
+        self._began = time
+        quaternion, self._turn = np.zeros(4), np.zeros(3)
+        mujoco.mju_mat2Quat(quaternion, (self._level.T @ rotation(attitude)).ravel())
+        mujoco.mju_quat2Vel(self._turn, quaternion, 1.0)
 
     def attitude(self, time: float) -> Floats:
         """Return the rotation matrix from the base frame at a time [s] to the level frame."""
-        progress = ease(np.array((time - self.began) / TILT_DURATION))[0]
-        matrix: Floats = self.level @ rotation(progress * self.turn)
-        return matrix
+        progress = ease(np.array((time - self._began) / TILT_DURATION))[0]
+        return np.asarray(self._level @ rotation(progress * self._turn))
 
     def motion(self, time: float) -> tuple[Floats, Floats, Floats]:
         """
@@ -208,6 +195,6 @@ class Tilt:
         All vectors have shape (3,) and are in the base frame, in m/s^2, rad/s and rad/s^2.
         """
         gravity = self.attitude(time).T @ STANDARD_GRAVITY
-        _, speed, acceleration = ease(np.array((time - self.began) / TILT_DURATION))
+        _, speed, acceleration = ease(np.array((time - self._began) / TILT_DURATION))
         speed, acceleration = speed / TILT_DURATION, acceleration / TILT_DURATION**2
-        return gravity, speed * self.turn, acceleration * self.turn
+        return gravity, speed * self._turn, acceleration * self._turn
