@@ -142,7 +142,7 @@ def test_finds_swapped_signs_of_all_joints():
     dynamics, recording = run('stanford', friction=friction_of('stanford'))
     result = diagnose_recording(dynamics, recording._replace(efforts=-recording.efforts))
     assert kinds(result) == ['sign']
-    assert 'every joint' in headline(result.faults[0])
+    assert 'all joints' in headline(result.faults[0])
 
 
 def test_finds_currents_with_their_factors():
