@@ -161,7 +161,7 @@ def test_remapped_joint_efforts_are_commands_in_a_dry_run(run_node, robot):
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_until(lambda: len(terms) > 100, 'terms')
     assert heard == complete == []
-    robot.wait_for_text(node, ', nor to /joint_command')
+    robot.wait_for_text(node, ' or to /joint_command')
     robot.set_parameter('dry_run', False)
     robot.wait_for(heard, lambda m: list(m.effort) == pytest.approx(list(HOLD)), 'efforts')
     robot.wait_for(complete, lambda m: list(m.effort) == pytest.approx(list(HOLD)), 'efforts')

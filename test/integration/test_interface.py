@@ -236,7 +236,7 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
         ('payload', payload(TIP, -1.0), 'mass is -1.0'),
         ('joint_trajectory_in', WILD, 'the spline overflows: points are too far apart'),
         ('payload', payload(TIP, math.nan), 'mass is nan'),
-        ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'inertia) is 1e+300'),
+        ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'a value of the payload'),
         ('gravity', Vector3Stamped(vector=Vector3(z=-101.0)), 'gravity is [0.0, 0.0, -101.0]'),
     ]
     drop_with_reason(robot, node, cases)
