@@ -11,9 +11,10 @@ ROBOTS = {
     'seven_dof': ROOT / 'test' / 'robots' / 'seven_dof.urdf',
     'branched': ROOT / 'test' / 'robots' / 'branched.urdf',
 }
-EVERY_ROBOT = pytest.mark.parametrize(
-    'name', [pytest.param('stanford', marks=pytest.mark.long), 'seven_dof', 'branched']
-)
+STANFORD_TOO = pytest.param('stanford', marks=pytest.mark.long)
+BRANCHED_TOO = pytest.param('branched', marks=pytest.mark.long)
+EVERY_ROBOT = pytest.mark.parametrize('name', ['seven_dof', BRANCHED_TOO, STANFORD_TOO])
+CHAIN_AND_TREE = pytest.mark.parametrize('name', ['seven_dof', 'branched', STANFORD_TOO])
 
 
 def exciting(robot, times, rng):

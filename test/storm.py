@@ -9,7 +9,6 @@ As a program, it publishes until it has sent a number of messages or its time ha
 import argparse
 import os
 import signal
-import sys
 import time
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -143,7 +142,7 @@ class Weather:
         ]
 
 
-def storm(messages, seconds, seed, name, joints):
+def storm(messages, seconds, seed, name, joints, is_over=lambda: False):
     """Publish; return how many messages were sent, and how long it took [s]."""
     rng = np.random.default_rng(seed)
     weather = Weather(rng, joints)
@@ -156,13 +155,13 @@ def storm(messages, seconds, seed, name, joints):
         sources.append((node.create_publisher(kind, topic, LATCHED), stock, make))
     deadline = time.monotonic() + seconds
     while not all(publisher.get_subscription_count() for publisher, *_ in sources):
-        if time.monotonic() > deadline:
+        if time.monotonic() > deadline or is_over():
             break
         time.sleep(0.02)
     print('all subscriptions are found', flush=True)
     sent, began = 0, time.monotonic()
     try:
-        while sent < messages and time.monotonic() < deadline:
+        while sent < messages and time.monotonic() < deadline and not is_over():
             for row in rng.integers(STOCK + 1, size=(ROUNDS, len(sources))).tolist():
                 for (publisher, stock, _), k in zip(sources, row, strict=True):
                     publisher.publish(stock[k])
@@ -182,11 +181,18 @@ def main():
     parser.add_argument('--node', default='inverse_dynamics')
     parser.add_argument('--joints', nargs='+', default=[f'joint_{k}' for k in range(1, 7)])
     options = parser.parse_args()
-    # SIGTERM ends it cleanly: a process that is killed leaves its shared memory behind.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    # SIGTERM ends it cleanly: a process that is killed leaves its shared memory behind. If the
+    # handler raised SystemExit, the exception was lost in one of three tests.
+    signals = []
+    signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     sent, took = storm(
-        options.messages, options.seconds, options.seed, options.node, options.joints
+        options.messages,
+        options.seconds,
+        options.seed,
+        options.node,
+        options.joints,
+        lambda: bool(signals),
     )
     print(f'sent {sent} in {took:.3f} s', flush=True)
     rclpy.shutdown()

@@ -171,6 +171,7 @@ def test_the_search_of_check_is_bounded(joints):
         assert moved >= joints
 
 
+@pytest.mark.long
 def test_a_long_recording_is_read_and_written_quickly(here):
     count = 20_000
     times = np.arange(count) * 0.005

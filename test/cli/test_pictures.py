@@ -33,11 +33,11 @@ def drawn(monkeypatch):
     return figures
 
 
-LEFT_OUT = ('stanford', 'three_finger_hand')
+LEFT_OUT = ('two_arms', 'three_finger_hand')
 
 
 @pytest.fixture(
-    params=['two_arms', *(pytest.param(name, marks=pytest.mark.long) for name in LEFT_OUT)]
+    params=['stanford', *(pytest.param(name, marks=pytest.mark.long) for name in LEFT_OUT)]
 )
 def robot(request, here):
     (here / 'arm.urdf').write_text(ROBOTS[request.param]())

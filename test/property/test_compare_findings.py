@@ -250,7 +250,14 @@ def test_efforts_that_were_filtered_before_are_reported(name, rate):
 # ---- Many wrong links ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(('name', 'seed'), [('seven_dof', 2), ('branched', 0), ('stanford', 0)])
+@pytest.mark.parametrize(
+    ('name', 'seed'),
+    [
+        ('branched', 0),
+        pytest.param('seven_dof', 2, marks=pytest.mark.long),
+        pytest.param('stanford', 0, marks=pytest.mark.long),
+    ],
+)
 def test_many_wrong_links_are_not_reported_as_a_payload(name, seed):
     dynamics, recording = run(name, seed=seed, rate=100.0, friction=(1.0, 1.0))
     robot, rng = dynamics.robot, np.random.default_rng(seed)
@@ -280,7 +287,10 @@ def under_gravity(robot, q, gravity):
 
 @pytest.mark.parametrize(
     ('name', 'link', 'begin', 'end'),
-    [('seven_dof', 'tool0', 6.0, 12.0), ('branched', 'right_forearm', 3.0, 20.0)],
+    [
+        ('branched', 'right_forearm', 3.0, 20.0),
+        pytest.param('seven_dof', 'tool0', 6.0, 12.0, marks=pytest.mark.long),
+    ],
 )
 def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin, end):
     dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
@@ -299,7 +309,7 @@ def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin,
     assert f'From {begin:.1f} s to' in verdict(result)
 
 
-@pytest.mark.parametrize('name', ['stanford', 'seven_dof'])
+@pytest.mark.parametrize('name', ['stanford', pytest.param('seven_dof', marks=pytest.mark.long)])
 def test_a_push_is_reported_with_its_times(name):
     dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
     times = recording.times
@@ -317,7 +327,10 @@ def test_a_push_is_reported_with_its_times(name):
     assert result.explained_corrected > 0.999
 
 
-@pytest.mark.parametrize(('name', 'begin'), [('seven_dof', 0.0), ('branched', 5.0)])
+@pytest.mark.parametrize(
+    ('name', 'begin'),
+    [('branched', 5.0), pytest.param('seven_dof', 0.0, marks=pytest.mark.long)],
+)
 def test_a_base_that_tilts_is_reported_with_its_times(name, begin):
     dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
     times, q = recording.times, recording.positions

@@ -15,9 +15,9 @@ BESIDE_WRONG_LINKS = (
     'none',
     'payload of 2 kg',
     'missing gravity',
-    'base tilted by 10 degrees',
-    'absent payload',
-    'external force',
+    pytest.param('base tilted by 10 degrees', marks=pytest.mark.long),
+    pytest.param('absent payload', marks=pytest.mark.long),
+    pytest.param('external force', marks=pytest.mark.long),
 )
 
 

@@ -19,7 +19,7 @@ from inverse_dynamics_node.report.diagnosis_text import headline
 import numpy as np
 import pytest
 from robot_files import ROOT
-from runs import EVERY_ROBOT, exciting, ROBOTS, run
+from runs import CHAIN_AND_TREE, EVERY_ROBOT, exciting, ROBOTS, run
 
 # Without compiled functions these tests take an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
@@ -40,7 +40,7 @@ def kinds(result):
 # ---- A healthy robot -----------------------------------------------------------------------
 
 
-@EVERY_ROBOT
+@CHAIN_AND_TREE
 @pytest.mark.parametrize('has_velocities', [True, False])
 def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocities):
     result = diagnose_recording(*run(name, has_velocities=has_velocities))
@@ -196,7 +196,7 @@ def test_gravity_may_be_left_out_of_what_is_measured(name, in_commands):
     assert result.explained_corrected > 0.99
 
 
-@EVERY_ROBOT
+@CHAIN_AND_TREE
 @pytest.mark.parametrize(('mass', 'com'), [(1.0, (0.02, 0.03, 0.1)), (3.0, (0.0, 0.0, 0.0))])
 def test_finds_a_payload(name, mass, com):
     recording = run(
@@ -323,7 +323,7 @@ def test_small_model_errors_are_not_faults():
     assert kinds(diagnose_recording(dynamics, recording._replace(efforts=efforts))) == []
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(
     name=st.sampled_from(sorted(ROBOTS)),
     seed=st.integers(0, 10_000),

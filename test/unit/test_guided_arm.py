@@ -60,7 +60,7 @@ def forces_at_the_tip(name, q, joint, share):
 @pytest.mark.parametrize(
     ('name', 'joint'),
     [
-        ('seven_dof', 'elbow'),
+        pytest.param('seven_dof', 'elbow', marks=pytest.mark.long),
         ('gripper_arm', 'arm_2'),
         pytest.param('seven_dof', 'shoulder_lift', marks=pytest.mark.long),
         pytest.param('gripper_arm', 'arm_4', marks=pytest.mark.long),

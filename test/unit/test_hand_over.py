@@ -115,7 +115,16 @@ def excessive(bench):
     }
 
 
-@pytest.mark.parametrize('name', ROBOTS)
+@pytest.mark.parametrize(
+    'name',
+    [
+        *('light wrist', 'gripper_arm'),
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ('stanford', 'mimic_gripper', 'cartesian')
+        ),
+    ],
+)
 def test_no_command_makes_a_robot_faster_than_its_bounds(name):
     for case in excessive(Bench(ROBOTS[name])):
         bench = Bench(ROBOTS[name])

@@ -439,7 +439,13 @@ def test_a_failure_on_a_busy_machine_says_so():
     assert str(results.ScenarioResult('all', (), words)) == 'PASSED: all'
 
 
-@pytest.mark.parametrize('name', SCENARIOS)
+@pytest.mark.parametrize(
+    'name',
+    [
+        pytest.param(name, marks=[] if name in ('tilt', 'track') else pytest.mark.long)
+        for name in SCENARIOS
+    ],
+)
 def test_picture_is_drawn(tmp_path, name, setup):
     timeline = SCENARIOS[name].prepare(setup)
     history = history_of(setup, (3.0, 0.01), (6.0, 0.1), (99.0, 0.0))
