@@ -42,7 +42,7 @@ TESTS := $(CLEAN) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST)
 # Tests of the library compute; those of the node mostly wait for processes and messages.
 LIBRARY := --numprocesses 2 test/unit test/property test/parity test/cli \
     test/test_architecture.py test/test_markdown.py test/test_release.py
-NODE := --numprocesses 6 test/integration test/test_readme.py
+NODE := --numprocesses 8 test/integration test/test_readme.py
 # Without numba, the same functions run as plain Python.
 PLAIN := --numprocesses 2 test/unit test/property test/parity
 PLAIN_SAMPLE := --numprocesses 2 test/unit/test_batch.py test/unit/test_controller.py \

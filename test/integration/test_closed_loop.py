@@ -113,6 +113,7 @@ def usual(errors, times, begin, end=np.inf):
     return np.quantile(abs(errors[(times >= begin) & (times < end)]).max(axis=1), 0.9)
 
 
+@pytest.mark.long
 @each_arm(first=STANFORD)
 def test_payload_causes_an_error_until_the_node_receives_it(record, path):
     run = record(path, 'payload')
