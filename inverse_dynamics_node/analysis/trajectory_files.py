@@ -346,7 +346,7 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
 
 
 class _Longest(NamedTuple):
-    """The trajectory of a topic with the most points."""
+    """The trajectory with the most points on a topic."""
 
     topic: str
     message: Any

@@ -169,7 +169,7 @@ def _check_files(options: argparse.Namespace) -> None:
         inputs.append(options.loaded)
     else:
         if options.loaded.suffix != '.csv':
-            raise OutputError(f"LOADED is '{options.loaded}', expected a .csv file to record")
+            raise OutputError(f"LOADED is '{options.loaded}', but --record writes a .csv file")
         try:
             output_path(str(options.loaded))
         except argparse.ArgumentTypeError as error:

@@ -1,4 +1,4 @@
-"""The command `simulate`: runs a simulated robot for trying the node."""
+"""The command `simulate`: runs a simulated robot for trying out the node."""
 
 from __future__ import annotations
 

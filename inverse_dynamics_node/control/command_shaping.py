@@ -140,8 +140,9 @@ class CommandShaper:
     does not advance the blend, unless the previous command also started a blend. The difference
     therefore fades even if every command starts a blend.
 
-    A brief pause does not start a blend. Otherwise, intermittent joint states would start many
-    blends, and the command would repeat instead of following the joints.
+    A brief pause between calls of `follow` does not start a blend. Otherwise, intermittent
+    joint states would start many blends, and the command would repeat instead of following the
+    joints.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.

@@ -137,7 +137,7 @@ class JointStateCollector:
         self._has_resting = False
         compile_kernels()
         self.time = self._other_time = -math.inf
-        """Oldest arrival time among the commanded joints [s]; -inf until all were reported."""
+        """Arrival time of the oldest state of a commanded joint [s], -inf until all arrived."""
         self._find_oldest()
 
     def layout(self, names: tuple[str, ...]) -> Layout:
@@ -238,10 +238,10 @@ class JointStateCollector:
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
         """
-        Return the ages of late joints that are neither commanded nor locked, by name [s].
+        Return the time since the last report of each late joint, by name [s].
 
-        A joint is late if its last report is older than the timeout [s]. Joints without a report
-        are not included.
+        A joint is late if this time exceeds the timeout [s]. Commanded and locked joints are not
+        included, nor are joints without a report.
 
         """
         is_late = self._is_free & ~self._is_commanded & self._is_old(now, timeout)

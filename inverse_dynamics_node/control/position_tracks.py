@@ -92,7 +92,7 @@ def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
 
 
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
-    """Return, by index, two positions of each joint with alternating positions."""
+    """Return the two positions between which each faulty joint alternates, by joint index."""
     return {
         int(i): (float(tracks[_OTHER, i]), float(tracks[_LAST, i]))
         for i in np.flatnonzero(tracks[_FLAG])

@@ -235,9 +235,9 @@ def joints_before(robot: RobotModel) -> Integers:
     """
     Return the index of the previous joint for each of the n joints, shape (n,).
 
-    The previous joint of a joint moves the parent body. The index is -1 if the parent body is the
-    base. The index is also -1 if the parent body moves with a mimic joint, and the master joint is
-    the same joint or a later joint.
+    The previous joint of a joint is the joint that moves its parent body. The index is -1 if
+    the parent body is the base, or if the parent body moves with a mimic joint whose master is
+    this joint or a later one.
 
     """
     before = np.full(len(robot.joint_names), -1)

@@ -98,7 +98,7 @@ def _load_xacro(
     try:
         text = xacro.process_file(str(path), mappings=arguments).toprettyxml(indent='  ')
     except Exception as error:  # of any type: xacro evaluates Python expressions
-        raise ConfigurationError(f'xacro failed: {error or repr(error)}') from None
+        raise ConfigurationError(f'xacro failed: {str(error) or repr(error)}') from None
     try:
         return load_urdf(text, on_missing_inertial), text
     except UrdfError as error:

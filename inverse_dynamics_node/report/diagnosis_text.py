@@ -372,8 +372,8 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
         'inverse_dynamics identify URDF RUN --output calibrated.urdf'
     ),
     FaultKind.EXTERNAL_FORCE: _fixed(
-        'Somebody or something may have pushed the robot, or the robot touched its '
-        'surroundings. Exclude this time with --from and --to before you use the fitted '
+        'Somebody or something may have pushed the robot, or the robot may have touched its '
+        'surroundings. Cut off this interval with --from or --to before you use the fitted '
         'friction.'
     ),
     FaultKind.ROTOR_INERTIA: _fixed("Set the parameter 'armature' of the node to these values."),

@@ -2,7 +2,7 @@
 The position controller of a simulated robot, and the hand-over to commands.
 
 The position controller holds the robot before commands arrive, after the commands stop, and after
-a joint has become too fast.
+a joint has moved too fast.
 """
 
 from __future__ import annotations

@@ -341,7 +341,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         '--brake-release',
         type=float,
         default=1.5,
-        help='time for which commands must have arrived before the brakes open [s]',
+        help='how long commands must arrive before the brakes open [s]',
     )
     parser.add_argument(
         '--friction',

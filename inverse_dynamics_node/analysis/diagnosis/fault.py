@@ -82,7 +82,7 @@ class Fault(NamedTuple):
     [m/s^2]. A delay is in seconds.
     """
     changes: tuple[Change, ...] = ()
-    """Effects of the correction on the joints, largest reduction first."""
+    """Effects of the correction on the joints, largest reduction of the residual first."""
     error: float = 0.0
     """Standard error of the mass of a payload [kg]."""
     angle: float = 0.0

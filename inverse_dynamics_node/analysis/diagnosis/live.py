@@ -44,7 +44,8 @@ SUSPICIOUS = 0.15  # residuals above this fraction of the effort start the searc
 FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
 """
 Residuals are ignored below these fractions of the effort limit and of the largest modelled effort.
-The smaller value applies, because effort limits in URDFs are often placeholders.
+The smaller of the two thresholds applies, because
+effort limits in URDFs are often placeholders.
 """
 LEAST_FLOOR = 0.005  # accuracy of effort sensors, as a fraction of the limit
 REST_FACTOR = 2.5  # multiple of the floor for joints at rest, because dry friction may hold joints

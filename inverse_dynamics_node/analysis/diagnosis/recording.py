@@ -357,7 +357,7 @@ def _joint_residual(
     corrected: Floats,
     when: Booleans,
 ) -> JointResidual:
-    """Compare selected samples of one joint; `plain` is the friction without any faults."""
+    """Compare selected samples of one joint; `plain` is the friction fitted without faults."""
     measured, modelled = compared.measured[when, c], compared.modelled[when, c]
     rubbing = plain.friction(compared.qd[when, c], compared.direction[when, c])
     is_varying = c in compared.varying

@@ -222,7 +222,7 @@ class Clearance:
         return slopes
 
     def is_kept(self, q: Floats, is_way: bool = False) -> bool:
-        """Return whether all poses keep the least distances; check a few poses first."""
+        """Return whether all poses keep the least distances. A few poses are checked first."""
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:

@@ -2,8 +2,8 @@
 Searches for the motion that determines masses and friction most accurately.
 
 The search varies the coefficients of a Fourier series [1]_ to maximise the determinant of the
-information matrix (D-optimal design). During the search, violated limits add a penalty. The result
-keeps all limits.
+information matrix (D-optimal design). During the search, violated limits add a penalty. The
+result respects all limits.
 
 References
 ----------

@@ -243,7 +243,7 @@ class DemoRun:
         if self._timeline.expected is not None:
             commander.record_external_efforts()
             self._wait(
-                lambda: commander.external_efforts > 0, 'the node sends no external efforts'
+                lambda: commander.external_efforts > 0, 'the node publishes no external efforts'
             )
 
     def _follow(self, duration: float) -> None:

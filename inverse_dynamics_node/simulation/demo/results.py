@@ -121,7 +121,7 @@ def check_payload(
 def check_push(
     setup: DemoSetup, history: History, link: str, force: Floats, began: float, ended: float
 ) -> ScenarioResult:
-    """Judge a push: external efforts must be zero before, and -J^T F during the push."""
+    """Judge a push: external efforts must be zero before the push, and -J^T F during it."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
     if not len(rows) or not len(states):
