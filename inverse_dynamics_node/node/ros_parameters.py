@@ -102,7 +102,7 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if name in _RENAMED:
         return f"unknown parameter '{name}'; it is now called '{_RENAMED[name]}'"
     head, _, tail = name.partition('.')
-    if head in (LOCKED, _QOS):
+    if tail and head in (LOCKED, _QOS):
         return f"parameter '{shortened(name)}' can only be set when the process starts"
     known = [*known, LOCKED]
     hint = did_you_mean(name, known) or did_you_mean(head, known)

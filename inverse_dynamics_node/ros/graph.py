@@ -65,9 +65,10 @@ class Graph:
         """Return the name of the command topic and the nodes that subscribe to it."""
         commands = self._commands
         self._has_subscribers = bool(commands.get_subscription_count())
-        names = NodeNames.of(self._subscribers(commands)) if self._has_subscribers else ''
+        subscribers = self._subscribers(commands) if self._has_subscribers else ()
         self._reported = commands.topic_name
-        return f'{commands.topic_name} ({names or "no subscriber yet"})'
+        names = NodeNames.of(subscribers) if subscribers else 'no subscriber yet'
+        return f'{commands.topic_name} ({names})'
 
     def subscriber_change(self) -> str:
         """
