@@ -247,7 +247,7 @@ def test_bad_start_ends_with_one_clear_message(run_node, parameters, words):
 def test_every_bad_parameter_has_a_line_of_its_own(run_node):
     wrong = {'kp': 'x', 'update_rate': -1.0, 'stop_ramp': 1e3}
     unknown = {'effort_limit': 30.0, 'locked_position.joint_6': 0.1}
-    unknown |= {'payload_transition_time': 0.5, 'zebra': 1}
+    unknown |= {'locked_positions': 0.3, 'payload_transition_time': 0.5, 'zebra': 1}
     node = run_node(**{**FAST, **wrong}, **unknown)
     assert node.wait() == 1
     output = [line for line in node.output.splitlines() if 'is deprecated' not in line]  # Kilted
@@ -259,6 +259,7 @@ def test_every_bad_parameter_has_a_line_of_its_own(run_node):
         "parameter 'stop_ramp' is 1000.0, expected 0 to 60",
         "unknown parameter 'effort_limit'; did you mean 'effort_limits'?",
         "unknown parameter 'locked_position.joint_6'; did you mean 'locked_positions.joint_6'?",
+        "unknown parameter 'locked_positions'; did you mean 'locked_positions.<joint>'?",
         "unknown parameter 'payload_transition_time'; it is now called 'load_ramp'",
         "unknown parameter 'zebra'",
         'to ignore unknown parameters, for example in a file that several nodes share, set '
