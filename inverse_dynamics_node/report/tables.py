@@ -206,7 +206,7 @@ def fraction(effort: float, limit: float) -> str:
 
 
 def decimals(values: Floats) -> int:
-    """Return the number of decimals (1 to 6) that show four digits of the largest value."""
+    """Return how many decimals show four digits of the largest value, from 1 to 6."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
