@@ -30,7 +30,7 @@ NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: speed bounds of joints withou
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
 BRAKING_MARGIN = 1.25  # factor on the speed bounds while the robot brakes
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
-COMPLAINT_PERIOD = 5.0  # [s]: least time between logs of the same error
+COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of the same error
 
 
 class PositionDrive:

@@ -53,7 +53,7 @@ Fitted links must leave less than this fraction of the squares that another expl
 The limit applies if all causes of the other explanation are still needed with the links fitted.
 """
 CHANGING = 2.0  # links may leave this multiple of the squares that a tilting base leaves
-NEEDED = 10.0  # least increase of the log evidence for an additional cause
+NEEDED = 10.0  # smallest increase of the log evidence for an additional cause
 CERTAIN = 5.0  # values above this number of standard errors are certain
 ROTOR = 0.05  # rotors with less than this fraction of the RMS effort are not reported
 DELAY = 0.1  # [s], standard deviation of delays

@@ -20,7 +20,7 @@ from ..node_parameters import node_parameters
 
 SURELY_MOVING = 3.0  # multiple of the smoothing width; tanh(3) is 0.995
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
-SPREAD = 1.5  # least ratio of speeds, to distinguish damping from Coulomb friction
+SPREAD = 1.5  # smallest ratio of speeds, to distinguish damping from Coulomb friction
 WIDTHS = (0.02, 0.03, 0.05, 0.08, 0.12)  # [rad/s or m/s]
 BETTER = 0.85  # another width or load friction must leave less than this fraction of the squares
 MOST_LOAD = 0.5  # larger ratios of friction to load have another cause

@@ -37,7 +37,7 @@ from .regression_data import RegressionData, RobotFit
 DURATION = 10.0  # [s], length of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
-LEAST_MOVING = 0.1  # least fraction of the window in which a joint moves in each direction
+LEAST_MOVING = 0.1  # smallest fraction of the window in which a joint moves in each direction
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
 AGREEMENT = 0.3  # largest RMS residual of a good model, as a fraction of the effort
 SUSPICIOUS = 0.15  # residuals above this fraction of the effort start the search for faults
@@ -59,7 +59,7 @@ compiled first, and the display would stop during compilation.
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
 LEAST_DURATION = 1.0
 """
-Least duration of the samples [s]. Recordings must be longer. A short duration is sufficient here,
+Shortest duration of the samples [s]. Recordings must be longer. A short time is sufficient here,
 because more time reveals no more about an arm at rest.
 """
 
@@ -441,13 +441,13 @@ class _Comparison:
 
 
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default rate of ros2_control is 100 Hz
-OF_GIVEN_RATE = 0.8  # least fraction of the rate that the user gave
-OF_UPDATE_RATE = 0.5  # least fraction of update_rate, because many drivers are slow
+OF_GIVEN_RATE = 0.8  # smallest fraction of the rate that the user gave
+OF_UPDATE_RATE = 0.5  # smallest fraction of update_rate, because many drivers are slow
 
 LEAST_CHECKED = 0.25
 """
-Least fraction of the commanded joints that must be checked. In a random pose at rest, gravity acts
-mainly on two of the six joints of a UR arm. One checked joint says little about the other joints.
+Smallest fraction of the commanded joints that must be checked. In a random pose at rest, gravity
+acts mainly on two of the six joints of a UR arm. One checked joint says little about the others.
 """
 
 

@@ -2,11 +2,11 @@
 Computes distances between links, to the floor and to boxes, with gradients.
 
 Capsules enclose the links. The floor and the boxes are called obstacles. A row is a pair of
-capsules, or a capsule and an obstacle. Each row has a least distance. If a distance is smaller,
+capsules, or a capsule and an obstacle. Each row has a minimum distance. If a distance is smaller,
 the difference is the missing distance.
 
 Neighbouring links, and links that touch in almost all sampled poses, are not checked. If two links
-are often near each other, points on their surfaces determine the least distances.
+are often near each other, points on their surfaces determine the minimum distances.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ...robot.kinematics import body_frames
 from ...robot.model import Floats, Integers, RobotModel
 
 CLEARANCE = 0.02
-"""Default least distance between links, and between a link and an obstacle [m]."""
+"""Default minimum distance between links, and between a link and an obstacle [m]."""
 TOUCH = 0.005
 """Surfaces touch if their distance is smaller than this value [m]."""
 _ALWAYS = 0.01
@@ -82,7 +82,7 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """The least distances that a robot must keep to itself and to obstacles."""
+    """The minimum distances that a robot must keep to itself and to obstacles."""
 
     robot: RobotModel
     capsules: Capsules
@@ -94,7 +94,7 @@ class Clearance:
     """Lowest and highest corner of each box, shape (boxes, 2, 3) [m]."""
     needed: Floats
     """
-    Least distance of each row, shape (rows,) [m].
+    Minimum distance of each row, shape (rows,) [m].
 
     Pairs come first, then capsule ends with the floor, then capsules with each box.
     """
@@ -110,7 +110,7 @@ class Clearance:
         return np.asarray(np.concatenate([body[self.pairs], outside]))
 
     def contacts(self, q: Floats, margin: float = 0.0) -> Contacts:
-        """Return the rows that are closer than the least distance plus a margin [m]."""
+        """Return the rows that are closer than the minimum distance plus a margin [m]."""
         parts = []
         for first in range(0, max(len(q), 1), _CHUNK):
             found = self._contacts(q[first : first + _CHUNK], margin)
@@ -188,7 +188,7 @@ class Clearance:
         Return the violation in each pose, and its gradient, shape (poses, joints).
 
         The violation is the sum of (missing distance / `_SCALE`)^2. An `aim` below 1 adds
-        (1 - aim) * `_SCALE` to each least distance. If the poses form a path (`is_way`), links
+        (1 - aim) * `_SCALE` to each minimum distance. If the poses form a path (`is_way`), links
         that are too close in the first pose must move apart gradually.
 
         """
@@ -222,7 +222,7 @@ class Clearance:
         return slopes
 
     def is_kept(self, q: Floats, is_way: bool = False) -> bool:
-        """Return whether all poses keep the least distances. A few poses are checked first."""
+        """Return whether all poses keep the minimum distances. A few poses are checked first."""
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
@@ -302,7 +302,7 @@ def find_clearance(
     boxes: Sequence[Floats] = (),
 ) -> Clearance:
     """
-    Find the least distances that a robot must keep to itself and to obstacles.
+    Find the minimum distances that a robot must keep to itself and to obstacles.
 
     `poses` are random poses within the limits, shape (poses, joints) [rad or m]. `floor` is the
     height of the floor in the base frame [m]. `boxes` contains the lowest and highest corner of
@@ -347,10 +347,10 @@ def _needed(
     clearance: Clearance, poses: Floats, pose: Integers, row: Integers, distance: Floats
 ) -> dict[int, float]:
     """
-    Return the least distances of two bodies that are often near each other, by row [m].
+    Return the minimum distances of two bodies that are often near each other, by row [m].
 
     `pose`, `row` and `distance` describe the contacts of the two bodies. Rows that are not checked
-    have a least distance of -inf.
+    have a minimum distance of -inf.
 
     """
     near_poses = np.unique(pose)

@@ -253,7 +253,7 @@ def keep_clear(
     boxes: Sequence[Floats] = (),
 ) -> MotionLimits:
     """
-    Add the least distances between the links, to the floor and to boxes.
+    Add the minimum distances between the links, to the floor and to boxes.
 
     `capsules` enclose the bodies of the robot. `find_clearance` describes the other arguments.
 

@@ -180,7 +180,7 @@ class MotionSpace:
         return self._is_clear(states.q, every)
 
     def _is_clear(self, q: Floats, every: int = 1) -> bool:
-        """Return whether poses, and the path to the first pose, keep the least distances."""
+        """Return whether poses, and the path to the first pose, keep the minimum distances."""
         clearance = self.limits.clearance
         if clearance is None:
             return True
@@ -201,7 +201,7 @@ class MotionSpace:
 
     def missing_clearance(self, x: Floats, aim: float) -> tuple[float, Floats]:
         """
-        Return how far a motion violates the least distances, and the gradient.
+        Return how far a motion violates the minimum distances, and the gradient.
 
         The violation is the mean of `Clearance.violation` over the motion, plus the mean over the
         path to its start. The gradient with respect to the coefficients has the shape (moving
@@ -298,7 +298,7 @@ class MotionSpace:
         return f'no sampled pose is within the effort limits{reason}'
 
     def _why_not_clear(self, poses: Floats) -> str:
-        """Explain why no pose keeps the least distances."""
+        """Explain why no pose keeps the minimum distances."""
         clearance = self.limits.clearance
         assert clearance
         found = clearance.contacts(poses)

@@ -41,7 +41,7 @@ FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
 """An optional term must reduce the squared prediction errors by this fraction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""Least improvement by an optional term, in standard errors of the improvement."""
+"""Smallest improvement by an optional term, in standard errors of the improvement."""
 LARGEST_LOAD = 0.1
 """Prior standard deviation of load friction [-], as large as in inefficient gears."""
 WIDTHS = 10

@@ -220,7 +220,7 @@ def check_missing_inertials(
 
 
 _FEWEST_ALIKE = 3
-"""Least number of equal links for a warning, because two links may be identical parts."""
+"""Smallest number of equal links for a warning, because two links may be identical parts."""
 _FRACTION_ALIKE = 0.8
 """Equal values on this fraction of the links with mass are placeholders."""
 

@@ -26,8 +26,8 @@ DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint under a load or a 
 HEAVIEST = 5.0  # [kg]: heaviest load
 LEAST_LOAD = 0.01  # smallest load as a fraction of the robot's mass
 HARDEST, FIRM = 20.0, 5.0  # [N]: largest push, and a push that is large enough
-LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N]: least ratio of inertia to Coulomb friction
-LEAST_DECAY = 0.02  # [s]: least ratio of inertia to viscous friction
+LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N]: smallest ratio of inertia to Coulomb friction
+LEAST_DECAY = 0.02  # [s]: smallest ratio of inertia to viscous friction
 BOX = 0.1  # [m]: side of a cubic load
 GRIP = (0.0, 0.0, 0.05)  # [m]: centre of the load in the frame of the link
 
