@@ -164,9 +164,10 @@ class LoopRunner:
         time_to_fall = loop.controller.shaper.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
             return
-        if is_wanted:
-            after = f' after the stop ramp ({time_to_fall:.3g} s)' * has_sent
-            text = f'dry run: the commands end{after}'
+        if is_wanted and has_sent:
+            text = f'dry run: the commands end after the stop ramp ({time_to_fall:.3g} s)'
+        elif is_wanted:
+            text = 'dry run: no commands are sent'
         else:
             to = self.graph.with_subscribers()
             text = f'end of the dry run: efforts rise from zero and are sent to {to}'
