@@ -42,7 +42,7 @@ TESTS := $(CLEAN) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST)
 # Tests of the library compute; those of the node mostly wait for processes and messages.
 LIBRARY := --numprocesses 2 test/unit test/property test/parity test/cli \
     test/test_architecture.py test/test_markdown.py test/test_release.py
-NODE := --numprocesses 8 test/integration test/test_readme.py
+NODE := --numprocesses 6 test/integration test/test_readme.py
 # Without numba, the same functions run as plain Python.
 PLAIN := --numprocesses 2 test/unit test/property test/parity
 PLAIN_SAMPLE := --numprocesses 2 test/unit/test_batch.py test/unit/test_controller.py \
@@ -68,6 +68,7 @@ verdict = @echo '$(1):'; output=$$($(CLEAN) $(BIN)/python $(2)) || { echo "$$out
     echo "$(1): $$(echo "$$output" | tail -n 1)" >> $(SUMMARY)
 
 # What `make test` runs, and what it leaves out: the long tests, everything without numba, and fuzzing.
+# The long tests of the node run in real time and compute: more than three at once stall each other.
 test-all: $(VENV)/test.done lint
 	@rm -f $(SUMMARY)
 	$(call stage,library,,$(LIBRARY))
@@ -75,7 +76,7 @@ test-all: $(VENV)/test.done lint
 	$(call stage,fuzzing,,--hypothesis-profile long --numprocesses 2 $(FUZZED))
 	$(call verdict,random events,test/random_driver.py --events 1000000)
 	$(call verdict,suspensions,test/suspensions.py)
-	$(call stage,node,,$(NODE))
+	$(call stage,node,,$(NODE) --numprocesses 3)
 	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
 	@cat $(SUMMARY)
 
