@@ -42,7 +42,7 @@ TESTS := $(CLEAN) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST)
 # Tests of the library compute; those of the node mostly wait for processes and messages.
 LIBRARY := --numprocesses 2 test/unit test/property test/parity test/cli \
     test/test_architecture.py test/test_markdown.py test/test_release.py
-NODE := --numprocesses 6 test/integration test/test_readme.py
+NODE := test/integration test/test_readme.py
 # Without numba, the same functions run as plain Python.
 PLAIN := --numprocesses 2 test/unit test/property test/parity
 PLAIN_SAMPLE := --numprocesses 2 test/unit/test_batch.py test/unit/test_controller.py \
@@ -59,7 +59,7 @@ else
 	@rm -f $(SUMMARY)
 	$(call stage,library,,-m 'not long' $(LIBRARY))
 	$(call stage,sample without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN_SAMPLE))
-	$(call stage,node,,-m 'not long' $(NODE))
+	$(call stage,node,,-m 'not long' --numprocesses 6 $(NODE))
 	@cat $(SUMMARY)
 endif
 
@@ -76,7 +76,7 @@ test-all: $(VENV)/test.done lint
 	$(call stage,fuzzing,,--hypothesis-profile long --numprocesses 2 $(FUZZED))
 	$(call verdict,random events,test/random_driver.py --events 1000000)
 	$(call verdict,suspensions,test/suspensions.py)
-	$(call stage,node,,$(NODE) --numprocesses 3)
+	$(call stage,node,,--numprocesses 3 $(NODE))
 	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
 	@cat $(SUMMARY)
 

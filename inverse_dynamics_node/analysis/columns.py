@@ -170,17 +170,23 @@ def fit_nonnegative(
     of `signed` columns may be negative. Returns the factors and the sum of squared residuals.
 
     """
-    from scipy.optimize import nnls
-
     if not features.shape[1]:
         return np.zeros(0), float(target @ target)
-    chosen = list(signed) if not isinstance(signed, np.ndarray) else signed
-    both = np.column_stack([features, -features[:, chosen]])
-    lengths = np.linalg.norm(both, axis=0)
+    lengths = np.linalg.norm(features, axis=0)
     lengths[lengths == 0.0] = 1.0
-    triangle = np.asarray(np.linalg.qr(np.column_stack([both / lengths, target]), mode='r'))
-    solution, norm = nnls(triangle[:, :-1], triangle[:, -1])
-    solution /= lengths
+    triangle = np.asarray(np.linalg.qr(np.column_stack([features / lengths, target]), mode='r'))
+    factors, squares = solve_nonnegative(triangle[:, :-1], triangle[:, -1], signed)
+    return factors / lengths, squares
+
+
+def solve_nonnegative(
+    features: Floats, target: Floats, signed: Sequence[int] | Booleans
+) -> tuple[Floats, float]:
+    """Do the same as `fit_nonnegative` for a few rows, with columns of similar length."""
+    from scipy.optimize import nnls
+
+    chosen = list(signed) if not isinstance(signed, np.ndarray) else signed
+    solution, norm = nnls(np.column_stack([features, -features[:, chosen]]), target)
     factors: Floats = solution[: features.shape[1]].copy()
     factors[chosen] -= solution[features.shape[1] :]
     return factors, float(norm) ** 2

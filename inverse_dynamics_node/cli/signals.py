@@ -9,7 +9,7 @@ import signal
 
 @contextmanager
 def handled_signals(handle: Callable[[int, object], object]) -> Iterator[None]:
-    """Call `handle` for SIGINT, SIGTERM and SIGHUP while the body runs."""
+    """Call `handle` for SIGINT, SIGTERM and SIGHUP in the ``with`` block."""
     numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
@@ -21,7 +21,7 @@ def handled_signals(handle: Callable[[int, object], object]) -> Iterator[None]:
 
 @contextmanager
 def collected_signals() -> Iterator[list[int]]:
-    """Collect the signals in a list, so that the body can end in order."""
+    """Collect the signals in a list, so that the ``with`` block can end in order."""
     received: list[int] = []
     with handled_signals(lambda number, _: received.append(number)):
         yield received

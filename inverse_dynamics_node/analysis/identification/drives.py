@@ -19,6 +19,7 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
 from ...robot.rigid_body import PARAMETERS
+from ..columns import solve_nonnegative
 from ..recordings.resampling import pieces
 from ..recordings.signals import Motion
 from .fit import correlation, RobotFit, weights_of
@@ -205,22 +206,13 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
     solutions = np.linalg.solve(matrices, vectors[..., None])[..., 0]
     wrong = (solutions[..., ~SIGNED[index]] < 0.0).any(axis=-1)
     if wrong.any():
-        solutions[wrong] = _nonnegative(matrices[wrong], vectors[wrong], SIGNED[index])
+        roots = np.linalg.cholesky(matrices[wrong])
+        targets = np.linalg.solve(roots, vectors[wrong][..., None])[..., 0]
+        solutions[wrong] = [
+            solve_nonnegative(root.T, vector, SIGNED[index])[0]
+            for root, vector in zip(roots, targets, strict=True)
+        ]
     return np.asarray(scale * solutions)
-
-
-def _nonnegative(matrices: Floats, vectors: Floats, signed: Booleans) -> Floats:
-    """Solve normal equations with nonnegative solutions, except for `signed` unknowns."""
-    from scipy.optimize import nnls
-
-    roots = np.linalg.cholesky(matrices)
-    targets = np.linalg.solve(roots, vectors[..., None])[..., 0]
-    columns = np.swapaxes(roots, -1, -2)
-    both = np.concatenate([columns, -columns[..., signed]], axis=-1)
-    found = np.array([nnls(*each)[0] for each in zip(both, targets, strict=True)])
-    solutions: Floats = found[:, : len(signed)]
-    solutions[:, signed] -= found[:, len(signed) :]
-    return solutions
 
 
 # ---- Gains --------------------------------------------------------------------------------------
