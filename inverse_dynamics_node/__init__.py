@@ -1,5 +1,5 @@
 """
-Inverse dynamics of a robot with a URDF, and a ROS 2 node that publishes joint efforts.
+Inverse dynamics of a robot described by a URDF, and a ROS 2 node that publishes joint efforts.
 
 This module does not import ROS. The names below are imported on first use, because importing numpy
 and numba takes half a second.

@@ -25,7 +25,7 @@ class UrdfError(InverseDynamicsError):
     source : str
         Path of the file, or ``'URDF'`` if the description was passed as text.
     problems : tuple of str
-        One or more problems, in the order of the file.
+        One or more problems, in the order in which they appear in the file.
 
     """
 
@@ -74,7 +74,7 @@ def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
-    """Join at most ``most`` names with commas; append the length of a longer list."""
+    """Join the first ``most`` names with commas; if there are more, append the total number."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 
@@ -91,7 +91,7 @@ def plain(value: Any) -> Any:
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """Escape control characters, and cut a text that is longer than ``most`` characters."""
+    """Escape control characters, and cut the text after ``most`` characters."""
     start = escaped(text[:most])
     return start if len(text) <= most else f'{start}... ({len(text)} characters)'
 
@@ -104,6 +104,6 @@ def escaped(text: str) -> str:
 
 
 def shortened_lines(text: str) -> str:
-    """Limit the number and the length of the lines of a message."""
+    """Limit the number of lines in a message, and the length of each line."""
     lines = text[: _MOST_LINES * _LONGEST_LINE].split('\n', _MOST_LINES)
     return '\n'.join(shortened(line, _LONGEST_LINE) for line in lines)

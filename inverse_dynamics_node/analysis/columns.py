@@ -1,8 +1,8 @@
 """
-Columns of regressions, and least-squares fits.
+Regressor columns, and least-squares fits.
 
-A column contains the efforts for one unit of an unknown. The unknowns are inertial parameters,
-gravity and friction, because the efforts are linear in these quantities.
+A column contains the efforts for one unit of an unknown. The efforts are linear in all unknowns,
+which are inertial parameters, gravity and friction coefficients.
 
 The efforts depend only on some combinations of the inertial parameters, called base parameters. A
 QR decomposition with pivoting finds the base parameters from a regressor at random states [1]_.
@@ -26,7 +26,7 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
-"""Mass, first moments, and inertia about the origin of the body frame."""
+"""Symbols of mass, first moments, and inertia about the origin of the body frame."""
 INDEPENDENT = 1e-8
 """A column is independent if its pivot exceeds this fraction of the largest pivot."""
 STATES_AT_ONCE = 2000  # limits the memory for regressors
@@ -38,10 +38,10 @@ def friction_columns(
     """
     Return the friction columns of one joint, shape (samples, 4).
 
-    The columns belong to damping, Coulomb friction, load friction and offset. `qd` is the velocity
-    [rad/s or m/s], and `width` is the speed over which Coulomb friction is smoothed. `load` is the
-    magnitude of the effort that moves the links [N m or N]. `smooth` is the filter of the measured
-    efforts.
+    The columns belong to damping, Coulomb friction, load-dependent friction and offset. `qd` is
+    the velocity [rad/s or m/s], and `width` is the speed over which Coulomb friction is smoothed.
+    `load` is the magnitude of the effort that moves the links [N m or N]. `smooth` is the filter
+    that was applied to the measured efforts.
 
     """
     direction = np.tanh(qd / width)
@@ -66,7 +66,7 @@ def body_columns(
     Return the regressor columns of the given bodies.
 
     `states` contains positions, velocities and accelerations, each of shape (samples, joints).
-    `bodies` contains indices of bodies, but not of the base. The result has the shape (samples,
+    `bodies` contains indices of bodies other than the base. The result has the shape (samples,
     joints, 10 per body). `InverseDynamics.regressor` defines the order of the ten columns.
 
     """
@@ -141,7 +141,7 @@ def base_parameters(matrix: Floats) -> BaseParameters:
     """
     Find the base parameters from a regressor at random states, shape (rows, parameters).
 
-    If columns are dependent, the largest columns are selected as leading parameters.
+    Among linearly dependent columns, those with the largest norms become the leading parameters.
 
     """
     from scipy.linalg import qr, solve_triangular
@@ -164,10 +164,10 @@ def fit_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
 ) -> tuple[Floats, float]:
     """
-    Fit nonnegative factors of columns by least squares.
+    Solve ``features @ factors = target`` by least squares for nonnegative factors.
 
-    `features` has the shape (rows, columns), and `target` has the shape (rows,). Only the factors
-    of `signed` columns may be negative. Returns the factors and the sum of squared residuals.
+    `features` has the shape (rows, columns), and `target` has the shape (rows,). The factors of
+    `signed` columns may also be negative. Returns the factors and the sum of squared residuals.
 
     """
     if not features.shape[1]:
@@ -182,7 +182,7 @@ def fit_nonnegative(
 def solve_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans
 ) -> tuple[Floats, float]:
-    """Do the same as `fit_nonnegative` for a few rows, with columns of similar length."""
+    """Do the same as `fit_nonnegative`, but do not reduce the rows or scale the columns first."""
     from scipy.optimize import nnls
 
     chosen = list(signed) if not isinstance(signed, np.ndarray) else signed

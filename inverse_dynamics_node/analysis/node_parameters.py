@@ -14,15 +14,15 @@ def node_parameters(
     """
     Return the text of a file for ``--ros-args --params-file``.
 
-    The title becomes a comment. `unknown` contains a reason for each joint with unknown friction.
-    Each value is a number, or a list in the order of `joint_names`.
+    The title becomes a comment. `unknown` maps each joint whose friction is unknown to the
+    reason. Each value is a number, or a list in the order of `joint_names`.
 
     """
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
     lines = [
         *(f'# {line}' for line in title),
         *(
-            f'# {name}: friction unknown, because {reason}. -1.0 selects the friction of the URDF.'
+            f'# {name}: friction unknown, because {reason}. The value -1.0 selects URDF friction.'
             for name, reason in unknown.items()
         ),
         '/**:',

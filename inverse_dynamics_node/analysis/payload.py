@@ -1,13 +1,13 @@
 """
 Measures a payload from recordings with and without the payload.
 
-The robot repeats the same motion in a loaded run and in an empty run. The difference of the
-efforts is due to the payload, because friction, offsets and errors of link masses cancel. The
-efforts are linear in the ten inertial parameters of the payload.
+The robot repeats the same motion in a loaded run and in an empty run. The difference between
+their efforts is due to the payload, because friction, offsets and errors in link masses cancel.
+The efforts are linear in the ten inertial parameters of the payload.
 
 Without an empty run, the inertial parameters of the links are estimated as well. A prior allows
-for errors that are usual in robot descriptions. The standard errors of the payload include the
-effect of these errors.
+for the usual errors in robot descriptions. These errors increase the standard errors of the
+payload.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class PayloadEstimate:
     link: str
     """Link that carries the payload."""
     body: RigidBody
-    """The payload in the link frame; the inertia is always physical."""
+    """The payload in the link frame; the inertia is always physically consistent."""
     mass_error: float
     """Standard error of the mass [kg]."""
     com_error: Floats
@@ -77,13 +77,13 @@ class PayloadEstimate:
     times: Floats
     """Times of the samples, shape (samples,) [s]."""
     measured: Floats
-    """Measured efforts without arm and friction, shape (samples, joints) [N m or N]."""
+    """Measured efforts minus those of arm and friction, shape (samples, joints) [N m or N]."""
     fitted: Floats
     """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
     duration: float
-    """Duration of the used part of the loaded run [s]."""
+    """Time from the first to the last used sample of the loaded run [s]."""
     poses: int
-    """Number of poses in which the arm rested; 0 for a motion."""
+    """Number of poses that were used; 0 if a motion was used instead."""
     matched: float
     """Fraction of the loaded run that matches the empty run; NaN without an empty run."""
 
@@ -112,11 +112,11 @@ class _Rows(NamedTuple):
     payload: Floats
     """Columns of the payload, shape (rows, joints, 10)."""
     links: Floats
-    """Columns of the links, shape (rows, joints, 10 per link); none with an empty run."""
+    """Columns of the links, shape (rows, joints, 10 per link); none if there is an empty run."""
     terms: Floats
     """Columns of friction and other joint terms, shape (rows, joints, terms)."""
     arm: Floats
-    """Modelled efforts of the arm, shape (rows, joints); zero with an empty run."""
+    """Modelled efforts of the arm, shape (rows, joints); zero if there is an empty run."""
     target: Floats
     """Efforts to explain, shape (rows, joints)."""
     block: Integers
@@ -138,7 +138,7 @@ def measure_payload(
     Measure the payload on a link from recordings with and without the payload.
 
     Both recordings must contain the same motion, or the same poses. Without the `empty` recording,
-    a prior allows for the usual errors of link masses, so the standard errors are larger. The
+    a prior allows for the usual errors in link masses, so the standard errors are larger. The
     robot model must not contain the payload. `gravity` is the free-fall acceleration in the base
     frame [m/s^2]. Raises RecordingError if a recording is too short, or if the two motions differ.
 
@@ -210,7 +210,7 @@ def _rests(motion: Motion) -> list[slice]:
 
 
 def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
-    """Return the mean positions and efforts of each rest."""
+    """Return the mean positions and efforts in each interval at rest."""
     times, q, efforts = (
         np.array([np.mean(signal[each], axis=0) for each in rests])
         for signal in (motion.times, motion.q, motion.efforts)
@@ -220,7 +220,7 @@ def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
 
 
 def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, Booleans]:
-    """Return the nearest empty state of each loaded state, and whether both states match."""
+    """Return the empty-run state nearest to each loaded state, and whether the two match."""
     from scipy.spatial import cKDTree
 
     q = empty.q.copy()
@@ -232,8 +232,9 @@ def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, 
     if np.mean(is_near) < LEAST_MATCHED:
         raise RecordingError(
             f'the two runs are different motions: only {np.mean(is_near):.0%} of the loaded run '
-            f'matches the empty run within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s), expected at '
-            f'least {LEAST_MATCHED:.0%}; record the same motion or poses with and without payload'
+            f'(expected at least {LEAST_MATCHED:.0%}) matches the empty run within {NEAR:g} rad '
+            f'or m and {NEAR:g} rad/s or m/s; record the same motion or poses with and without '
+            'payload'
         )
     q, qd, qdd, efforts = (x[index] for x in (empty.q, empty.qd, empty.qdd, empty.efforts))
     return empty._replace(times=loaded.times, q=q, qd=qd, qdd=qdd, efforts=efforts), is_near
@@ -343,7 +344,7 @@ class _Fit:
         self.x = self._solution()
 
     def _assemble(self) -> None:
-        """Linearise the effect of gains; compute the normal equations of each block and joint."""
+        """Linearise the model in the gains, and build normal equations per block and joint."""
         rows = self.rows
         gain = rows.arm + rows.payload @ _parameters(self.x)
         self.table[:, self.joint, self.gains] = gain
@@ -351,7 +352,7 @@ class _Fit:
         self.products = np.array([part.swapaxes(1, 2) @ part for part in parts])
 
     def _weights(self, residual: Floats) -> Floats:
-        """Return the inverse variance of each joint."""
+        """Return the inverse residual variance of each joint."""
         if len(self.products) < len(self.rows.times):
             return weights_of(residual)
         # With few poses, a joint may fit well by chance, so the variance needs a lower bound. The
@@ -367,7 +368,7 @@ class _Fit:
         return np.asarray(self.table @ factors)
 
     def _normal(self, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations; the block `without` is left out."""
+        """Return matrix and vector of the normal equations, for all blocks except `without`."""
         chosen = np.arange(len(self.products)) != without
         sums = np.tensordot(self.weights, np.sum(self.products[chosen], axis=0), 1)
         return sums[:-1, :-1], sums[:-1, -1]
@@ -391,7 +392,7 @@ class _Fit:
         return slope, known, mean
 
     def _solution(self, without: int | None = None) -> Floats:
-        """Solve the linearised normal equations; the block `without` is left out."""
+        """Solve the linearised normal equations, for all blocks except `without`."""
         (matrix, vector), x = self._normal(without), self.x
         for _ in range(_STEPS):
             slope, known, mean = self._near(x, matrix)
@@ -402,7 +403,7 @@ class _Fit:
         return np.asarray(x)
 
     def covariances(self) -> tuple[Floats, Floats]:
-        """Return the covariance of the unknowns, and the part due to noise."""
+        """Return the covariance of the unknowns, and its part due to noise."""
         matrix, _ = self._normal()
         slope, known, _ = self._near(self.x, matrix)
         data = slope.T @ matrix @ slope
@@ -420,7 +421,7 @@ class _Fit:
 
 
 def _parameters(x: Floats) -> Floats:
-    """Return the factors of `payload_columns` for the unknowns x, shape (10,)."""
+    """Convert the unknowns x to the parameters of `payload_columns`, shape (10,)."""
     outer = np.outer(x[1:4], x[1:4]) / max(x[0], LIGHTEST)
     return np.asarray(np.r_[x[:4], x[4:10] + [outer[i, j] for i, j in SECOND_MOMENTS]])
 

@@ -1,9 +1,9 @@
 """
 Computes the efforts that a trajectory requires, and the payload that the effort limits allow.
 
-Gravity efforts are computed in sampled poses of the whole workspace. A local search starts from
-the worst samples and moves one joint at a time. The search finds the worst poses, such as a fully
-extended arm.
+Gravity efforts are computed in poses that are sampled from the whole workspace. A local search
+starts from the samples with the largest efforts and moves one joint at a time. The search finds
+the worst poses, such as a fully extended arm.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ SAMPLES = 4096
 _CANDIDATES = 33
 """Number of positions that the search tries for each joint, 11 degrees apart over a full turn."""
 _WINDOWS = (1.0, 1.0, 0.1, 0.01)
-"""Fraction of the joint range in each pass of the search."""
+"""Fraction of the joint range that each pass of the search covers."""
 _STARTS = 3
-"""Number of worst samples from which the search starts."""
+"""The search starts from this many samples, which have the largest efforts."""
 _MOST_BODIES = 2e8
-"""Largest number of body evaluations in a search, which takes about ten seconds."""
+"""Largest product of poses and bodies in a search, which then takes about ten seconds."""
 _TIE = 1e-9
-"""Efforts with a smaller relative difference are equal."""
+"""Efforts with a smaller relative difference are regarded as equal."""
 _ROUNDING = 1e-6
 """Smaller violations of limits are ignored, because files may have only six digits."""
 
@@ -46,7 +46,7 @@ class Workspace:
     """
     Joint positions, shape (poses, joints) [rad or m].
 
-    The worst pose of each joint comes first. The sampled poses follow.
+    The first rows are the worst pose of each joint. The sampled poses follow.
     """
     efforts: Floats
     """Gravity efforts in the `poses`, shape (poses, joints) [N m or N]."""
@@ -75,7 +75,12 @@ class Workspace:
 
     @property
     def hardest(self) -> int:
-        """Index of the joint nearest to its limit. Without limits, the largest effort decides."""
+        """
+        Index of the joint nearest to its effort limit.
+
+        Without effort limits, the joint with the largest effort is chosen.
+
+        """
         ratios = self.peaks / self.limits
         return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
 
@@ -93,7 +98,7 @@ class PayloadCapacity(NamedTuple):
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
-    """Return the lower and upper ends of joint ranges of at most one turn [rad or m]."""
+    """Return the lower and upper ends of joint ranges [rad or m], at most one turn per joint."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
     is_wide = ~robot.is_prismatic_joint & ~(upper - lower <= 2.0 * math.pi)
     # Prefer the turn from -180 to 180 degrees.
@@ -110,8 +115,8 @@ def explore(
     """
     Compute the gravity efforts over the whole workspace.
 
-    The poses are a Sobol sequence, so that equal arguments give equal results. The number of
-    samples is rounded up to a power of two. `progress` is called repeatedly with the completed
+    The poses are an unscrambled Sobol sequence, so equal arguments give equal results. The number
+    of samples is rounded up to a power of two. `progress` is called repeatedly with the completed
     fraction, 0 to 1. Raises ConfigurationError if the robot has no movable joint, or if fewer than
     two samples are requested.
 
@@ -178,10 +183,10 @@ def payload_capacity(
 
     The payload is a point mass at the origin of a link. If the robot already carries a payload,
     `workspace` must include this payload, and the capacity is the additional mass. The capacity is
-    valid for all poses of the workspace, and for the worst pose that a search finds. Raises
+    valid for all sampled poses, and for the worst pose that a local search finds. Raises
     ConfigurationError if the link does not exist.
 
-    Gravity efforts are linear in the mass, so two efforts per pose determine the largest mass.
+    Gravity efforts are linear in the mass, so the effort per kilogram determines the largest mass.
 
     """
     robot, limits = workspace.robot, workspace.limits
@@ -234,9 +239,9 @@ def _climb(
     """
     Maximise a function of the pose, one joint at a time, in smaller and smaller windows.
 
-    There are few local maxima, because gravity efforts are sinusoidal functions of revolute joints
-    and linear functions of prismatic joints. If several positions of a joint are equally good, the
-    position nearest to zero is chosen.
+    There are few local maxima, because gravity efforts are sinusoidal in the position of a
+    revolute joint and linear in the position of a prismatic joint. If several positions of a joint
+    are equally good, the position nearest to zero is chosen.
 
     """
     pose: Floats = start.copy()
@@ -307,11 +312,11 @@ def effort_requirements(
     """
     Compute the efforts, speeds and powers that a trajectory requires.
 
-    The trajectory contains velocities and accelerations of any joints of the robot, in any order.
-    The joints of the result have the same order. `others` contains the positions of all joints of
-    the robot [rad or m], by default zero. For joints of the trajectory, these positions are
-    ignored. Raises TrajectoryError if a joint is unknown or named twice. Raises JointStateError if
-    a value is not finite.
+    The trajectory must have velocities and accelerations. It may contain any joints of the robot,
+    in any order. The joints of the result have the same order. `others` contains the positions of
+    all joints of the robot [rad or m], by default zero. For joints of the trajectory, these
+    positions are ignored. Raises TrajectoryError if a joint is unknown or named twice. Raises
+    JointStateError if a value is not finite.
 
     """
     robot = dynamics.robot

@@ -23,15 +23,15 @@ trajectory files:
               joint_names: [a, b]
               times: [0.0, 0.5]
               positions: [[0.0, 0.1], [0.2, 0.3]]    optional: velocities, accelerations
-  .csv        a row of names, then a row of numbers for each time. The column `time` [s]; a column
-              `<joint>` or `<joint>.position` for each joint [rad, m]; optional `<joint>.velocity`
-              and `<joint>.acceleration`; other columns are ignored
+  .csv        a row of names, then a row of numbers for each time. Columns: `time` [s]; `<joint>`
+              or `<joint>.position` for each joint [rad, m]; optional `<joint>.velocity` and
+              `<joint>.acceleration`; other columns are ignored
   a rosbag2   .mcap, .db3 or the folder: the JointTrajectory with the most points. If no trajectory
               has more than one point, the JointStates of /joint_states, or of the only topic with
               joint states. --topic chooses another topic"""
 
 LATEST_START = 1e5
-"""Times that start later than this value are clock times [s]; a day has 86 400 s."""
+"""Times are clock times if the first one exceeds this value [s] (a little over one day)."""
 _FIELDS = ('positions', 'velocities', 'accelerations')
 _QUANTITIES = ('position', 'velocity', 'acceleration')
 _DIGITS = 9
@@ -39,9 +39,9 @@ _DIGITS = 9
 _DEFAULT_TOPIC = '/joint_states'
 """The topic to read if several topics have joint states."""
 _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
-"""Fields of other messages that contain a trajectory."""
+"""Names of fields that contain a trajectory in other messages."""
 _DEEPEST = 20
-"""Largest nesting depth of a file. A trajectory in an action goal has six levels."""
+"""Largest accepted nesting depth of a file. A trajectory in an action goal has six levels."""
 _WHOLE_OUTPUT = 'print the whole message with `ros2 topic echo --full-length`'
 
 
@@ -141,7 +141,7 @@ def _arrays(trajectory: Trajectory) -> list[Floats]:
 
 
 def _plain(row: Floats) -> str:
-    """Return a list as YAML 1.1, in which a number with an exponent needs a decimal point."""
+    """Format a row as a YAML 1.1 list, in which numbers with exponents need a decimal point."""
     numbers = (repr(float(f'{x:.{_DIGITS}g}') + 0.0) for x in row)
     points = (x if '.' in x else x.replace('e', '.0e') for x in numbers)
     return f'[{", ".join(points)}]'
@@ -151,7 +151,7 @@ def _plain(row: Floats) -> str:
 
 
 def _from_yaml(text: str) -> LoadedTrajectory:
-    """Read the first trajectory of YAML text."""
+    """Read the first trajectory in a YAML text."""
     import yaml
 
     try:
@@ -170,11 +170,11 @@ def _from_yaml(text: str) -> LoadedTrajectory:
 
 def _documents(text: str) -> Iterator[Any]:
     """
-    Yield the documents of a YAML text as lists, mappings and text.
+    Yield the documents of a YAML text as lists, dicts and strings.
 
     Unlike the loaders of PyYAML, this parser neither recurses nor converts values. Therefore, a
-    file cannot exhaust the stack or create other objects, and numbers remain text. The parser is
-    also several times faster than the loaders.
+    file cannot exhaust the stack or create other objects, and numbers remain strings. The parser
+    is also several times faster than the loaders.
 
     """
     import yaml
@@ -220,7 +220,7 @@ def _documents(text: str) -> Iterator[Any]:
 
 
 def _unwrapped(document: Any) -> dict[str, Any] | None:
-    """Return the trajectory in a document, such as an action goal, or None."""
+    """Return the trajectory in a document such as an action goal, or None if it is absent."""
     while isinstance(document, dict) and 'joint_names' not in document:
         document = next((document[name] for name in _ENCLOSING if name in document), None)
     is_complete = isinstance(document, dict) and ('points' in document or 'positions' in document)
@@ -228,7 +228,7 @@ def _unwrapped(document: Any) -> dict[str, Any] | None:
 
 
 def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
-    """Return the times and rows of the points of a JointTrajectory."""
+    """Return the times, positions, velocities and accelerations of the points."""
     if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
         raise TrajectoryError(
             f'points is not a list of points; if it contains "...", {_WHOLE_OUTPUT}'
@@ -238,7 +238,7 @@ def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
 
 
 def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
-    """Return the times and rows of a document with plain lists."""
+    """Do the same as `_points`, but for a document that contains plain lists."""
     if not isinstance(document.get('times'), list):
         raise TrajectoryError('no list of times; expected times [s], joint_names and positions')
     times = _numbers(document['times'], len(document['times']), 'times')
@@ -253,7 +253,7 @@ def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
 
 
 def _trajectory(names: Any, times: Any, rows: dict[str, list[Any]]) -> LoadedTrajectory:
-    """Check and convert joint names, times and rows."""
+    """Check the joint names and rows of values, and build a trajectory."""
     if not isinstance(names, list) or not names or not all(isinstance(x, str) for x in names):
         raise TrajectoryError(f'joint_names is {_short(names)}, expected a list of names')
     arrays: list[Any] = []
@@ -351,7 +351,7 @@ class _Longest(NamedTuple):
     topic: str
     message: Any
     number: int
-    """Position among the non-empty trajectories of the topic, starting at 1."""
+    """Index among the non-empty trajectories on the topic, starting at 1."""
     total: int
     """Number of non-empty trajectories on the topic."""
 
@@ -383,7 +383,7 @@ def _from_bag(
     others -= {each.topic for each in found}
     if is_single and others:
         notes += (
-            'the trajectory has a single point; other topics to select with --topic: '
+            'the trajectory has a single point; --topic can select other topics: '
             f'{", ".join(sorted(others))}',
         )
     return LoadedTrajectory(trajectory, notes)
@@ -412,7 +412,7 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
 def _longest_trajectories(
     bag: Bag, topics: Sequence[str], progress: Callable[[float], None]
 ) -> list[_Longest]:
-    """Return the longest trajectory of each topic, sorted from longest to shortest."""
+    """Return the trajectory with the most points on each topic, most points first."""
     found: list[_Longest] = []
     for topic in topics:
         longest, number, total = None, 0, 0
@@ -426,7 +426,7 @@ def _longest_trajectories(
 
 
 def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
-    """Convert the first trajectory, and list the other trajectories in the notes."""
+    """Convert the first trajectory, and list the topics of the others in the notes."""
     first = found[0]
     points = first.message.points
     durations = [point.time_from_start for point in points]
@@ -450,7 +450,7 @@ def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
 def _from_states(
     messages: Iterable[tuple[int, Any]], joint_names: Sequence[str]
 ) -> LoadedTrajectory:
-    """Convert the joint states with the most frequent list of names."""
+    """Build a trajectory from the joint states that have the most frequent list of names."""
     by_names: dict[tuple[str, ...], list[tuple[float, Any]]] = {}
     for received, message in messages:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

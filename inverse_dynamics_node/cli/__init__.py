@@ -1,1 +1,1 @@
-"""The command-line program `inverse_dynamics`, which mostly runs without ROS."""
+"""The command-line program `inverse_dynamics`. Most of its commands run without ROS."""

@@ -1,4 +1,4 @@
-"""Parses command lines, defines shared arguments, and loads robots."""
+"""Parses command lines, defines arguments that commands share, and loads robot descriptions."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class CommandParser(argparse.ArgumentParser):
     """
     The parser of one command.
 
-    The help is wrapped to the width of the terminal, except for paragraphs with indented lines.
-    The options are in four groups: `ROBOT`, `own`, `RESULT` and 'help'. The group `own` is for
-    options that only this command has. If an option is mistyped, the error message suggests a
-    correction.
+    The help is wrapped to the width of the terminal, except for paragraphs that have indented
+    lines. The options are in four groups. Their titles are `ROBOT`, the argument `own`, `RESULT`
+    and 'help'. An option that is added without a group is in the group `own`. If an option is
+    mistyped, the error message suggests a correction.
     """
 
     def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
@@ -49,14 +49,14 @@ class CommandParser(argparse.ArgumentParser):
         self.add_argument('-h', '--help', group='help', action='help', help='show this text')
 
     def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:
-        """Add an argument, or add an option to the group with the title `group`."""
+        """Add a positional argument, or add an option to the group with the title `group`."""
         if not names[0].startswith('-'):
             return super().add_argument(*names, **properties)
         self._names += names
         return self._option_groups[group or self._own].add_argument(*names, **properties)
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Parse the arguments; if an argument is wrong, print an error and exit with 2."""
+        """Parse the arguments; if one is wrong, print an error and exit with code 2."""
         for argument in arguments:
             name = argument.partition('=')[0]
             if name == '--':
@@ -69,7 +69,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def _fitting(text: str, width: int) -> str:
-    """Wrap the paragraphs of a text that have no indented lines."""
+    """Wrap each paragraph of the text, unless the paragraph has indented lines."""
     paragraphs = text.strip('\n').split('\n\n')
     return '\n\n'.join(
         paragraph if '\n ' in paragraph else '\n'.join(wrapped(paragraph, width))
@@ -103,8 +103,8 @@ def add_gravity(parser: CommandParser) -> None:
 def add_link(parser: CommandParser, role: str = '') -> None:
     """Add the option --link; the help ends with `role`."""
     text = (
-        'link that carries the payload (default: tool0 if it exists, otherwise the end of the '
-        'longest chain)'
+        'link that carries the payload (default: tool0 if it exists, otherwise the last link of '
+        'the longest chain, ignoring fingers)'
     )
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -116,7 +116,7 @@ def add_payload(parser: CommandParser) -> None:
         group=ROBOT,
         type=_payload,
         metavar='MASS[,X,Y,Z]',
-        help='mass of a payload [kg], and its centre of mass in the frame of the link [m]',
+        help='mass of a payload [kg], and its centre of mass in the frame of --link [m]',
     )
 
 
@@ -126,7 +126,7 @@ def add_node_parameters(parser: CommandParser) -> None:
         '--node-parameters',
         type=Path,
         metavar='FILE',
-        help='parameter file of the node; include_gravity, measured_gravity and '
+        help='parameter file of the node; its values of include_gravity, measured_gravity and '
         'measured_effort_scale describe the recorded efforts',
     )
 
@@ -134,7 +134,10 @@ def add_node_parameters(parser: CommandParser) -> None:
 def add_friction(parser: CommandParser) -> None:
     """Add the option --friction."""
     parser.add_argument(
-        '--friction', group=ROBOT, action='store_true', help='include the friction of the URDF'
+        '--friction',
+        group=ROBOT,
+        action='store_true',
+        help='include the friction of the URDF in the computed efforts',
     )
 
 
@@ -159,7 +162,7 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
 
 
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
-    """Return the path of the picture, or None with --no-picture."""
+    """Return the path of the picture, or None if --no-picture is given."""
     return None if options.no_picture else options.picture or Path(default)
 
 
@@ -176,13 +179,13 @@ def add_force(parser: CommandParser) -> None:
         '--force',
         group=RESULT,
         action='store_true',
-        help='replace existing files, except inputs; unchanged outputs of earlier calls are '
-        'replaced even without this option',
+        help='replace existing files, except inputs; without this option, an existing file is '
+        'replaced only if an earlier command wrote it and it has not changed since',
     )
 
 
 def add_strict(parser: CommandParser, condition: str) -> None:
-    """Add the option --strict; the help quotes `condition`."""
+    """Add the option --strict; `condition` completes the help "exit with code 3 if ..."."""
     parser.add_argument(
         '--strict', group=RESULT, action='store_true', help=f'exit with code 3 if {condition}'
     )
@@ -194,7 +197,7 @@ def strict_code(options: argparse.Namespace, is_met: object) -> int:
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; `which` completes the help "position of a joint ..."."""
+    """Add the option --at; `which` completes the help "position [rad, m] of a joint ..."."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -202,13 +205,13 @@ def add_at(parser: CommandParser, which: str) -> None:
         default=[],
         type=_joint_position,
         metavar='JOINT=POSITION',
-        help=f'position of a joint {which} [rad, m] (default: the position in its range that is '
+        help=f'position [rad, m] of a joint {which} (default: the position in its range that is '
         'nearest to 0); may be repeated',
     )
 
 
 def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return a function that parses a number, and quotes `expected` in its error messages."""
+    """Return a function that parses a number; its error message ends with `expected`."""
 
     def parse(text: str) -> float:
         try:
@@ -245,7 +248,7 @@ def _payload(text: str) -> tuple[float, list[float]]:
 
 
 def read_source_text(path: Path | str) -> Path | str:
-    """Replace the path ``-`` by the text of standard input, which must be XML."""
+    """Return the XML text from standard input if the path is ``-``, otherwise the path itself."""
     if str(path) != '-':
         return path
     text = sys.stdin.read()
@@ -258,7 +261,7 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
     """
     Load a robot description, and compile its inverse dynamics.
 
-    The path is a file, ``-`` for standard input, or XML text. Gravity is the free-fall
+    `path` is the path of a file, ``-`` for standard input, or XML text. `gravity` is the free-fall
     acceleration in the frame of the base link [m/s^2]. Raise UrdfError if the description cannot
     be used. Raise ConfigurationError if gravity is not three finite numbers.
     """
@@ -273,7 +276,7 @@ def stem_of(path: Path) -> str:
 
 
 def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> str:
-    """Attach the payload of --payload, and return a description of the payload."""
+    """Attach the payload from --payload and return a description; return '' without --payload."""
     if options.payload is None:
         return ''
     link = options.link or last_link(dynamics.robot)

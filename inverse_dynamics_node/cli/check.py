@@ -39,10 +39,10 @@ examples:
   inverse_dynamics check wall_mounted.urdf --gravity 9.81 0 0
   xacro my_arm.urdf.xacro | inverse_dynamics check - --strict > report.txt
 
-The command samples poses over the ranges of all joints (one turn for a joint without limits), and
-searches for worse poses near the worst samples. The payload is a point mass at the origin of the
-link, and the robot holds it at rest. Moving the payload takes larger efforts: see
-`inverse_dynamics effort`.
+The command samples poses over the ranges of all joints (at most one turn per joint). From the
+samples with the largest gravity efforts, a local search finds poses with even larger efforts. The
+payload is a point mass at the origin of --link, and the robot holds it at rest. Moving the payload
+takes larger efforts: see `inverse_dynamics effort`.
 
 exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -64,7 +64,11 @@ def make_parser() -> CommandParser:
     arguments.add_link(parser)
     arguments.add_gravity(parser)
     arguments.add_picture(parser)
-    arguments.add_output(parser, '--poses', 'the worst pose of every joint, as CSV')
+    arguments.add_output(
+        parser,
+        '--poses',
+        'the worst poses as CSV: for each joint, the pose with its largest gravity effort',
+    )
     parser.add_argument(
         '--samples',
         type=_sample_count,
@@ -135,7 +139,7 @@ def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
     top = [name for name, x in zip(names, ratios, strict=True) if x > ratios.max() - 0.005]
     text = f'Gravity takes at most {ratios.max():.0%} of an effort limit ({listed(top)}).'
     if ratios.max() > 1.0:
-        return f'{text} The robot cannot hold itself in every pose.'
+        return f'{text} In some poses, the robot cannot hold itself.'
     if payload.joint is None:
         return (
             f"{text} A payload at link '{payload.link}' loads only joints without effort limits."
@@ -199,11 +203,11 @@ def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
     at = f'{payload.joint} reaches its limit first (pose: {pose_in_words(robot, payload.pose)})'
     if payload.mass == 0.0:
         return f'Largest payload {where}: none, because gravity alone exceeds a limit; {at}.'
-    return f'Largest payload {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
+    return f'In every pose, the robot can hold up to {payload.mass:.3g} kg {where}; {at}.'
 
 
 def pose_in_words(robot: RobotModel, pose: Floats) -> str:
-    """List the positions of the joints that are farthest from zero."""
+    """List the joint positions that are farthest from zero."""
     units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
     shown = [
@@ -216,14 +220,14 @@ def pose_in_words(robot: RobotModel, pose: Floats) -> str:
 
 
 def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
-    """Return warnings about joints that cannot hold the robot in every pose."""
+    """Return warnings about joints that cannot hold the robot in some poses."""
     hint = (
         'check the masses and the limit; if they are right, the arm falls in such poses unless '
         'springs hold the arm'
     )
     return tuple(
         ModelWarning(
-            f'gravity takes {peak / limit:.0%} of its effort limit in the worst pose',
+            f'gravity takes {peak / limit:.0%} of the effort limit in the worst pose',
             hint,
             f"joint '{name}'",
         )
@@ -239,7 +243,7 @@ def _short_pose(pose: Floats) -> str:
 
 
 def write_poses(workspace: Workspace, path: Path) -> None:
-    """Write the worst pose of every joint as CSV, one row per joint."""
+    """Write a CSV row for each joint, with the pose in which its gravity effort is largest."""
     names = workspace.robot.joint_names
     with new_file(path) as temporary, temporary.open('w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)

@@ -43,12 +43,12 @@ each joint, `<joint>.position` (or just `<joint>`), `<joint>.velocity` (optional
 `<joint>.effort`. Twenty seconds are enough if every joint moves in both directions, at different
 speeds.
 
-The command can diagnose these differences: a wrong sign; a reversed axis; positions in degrees;
-efforts that are motor currents, are in the wrong unit, or arrive late; gravity compensated by the
-driver; a different mounting of the base; a payload; joints in the wrong order; rotor inertia; an
-offset; a driver that does not measure efforts; wrong masses of several links. A load, a push or a
-tilt of the base may last for only part of the recording. Friction is fitted separately, and
---parameters writes it as parameters of the node.
+The command can diagnose these differences: efforts that have the wrong sign, are motor currents,
+are in the wrong unit, have an offset, or arrive late; a reversed axis; positions in degrees;
+gravity compensated by the driver; a different mounting of the base; a payload; joints in the wrong
+order; rotor inertia; a driver that does not measure efforts; wrong masses of several links. A
+load, a push or a tilt of the base is found even if it lasts for only part of the recording. The
+command also fits friction, and --parameters writes it as parameters of the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -68,12 +68,23 @@ def make_parser() -> CommandParser:
         '--topic', help='topic of the joint states (default: the only one with efforts)'
     )
     parser.add_argument(
-        '--from', dest='start', type=float, metavar='S', help='ignore samples before this time [s]'
+        '--from',
+        dest='start',
+        type=float,
+        metavar='S',
+        help='time since the first sample [s]; earlier samples are ignored',
     )
     parser.add_argument(
-        '--to', dest='end', type=float, metavar='S', help='ignore samples after this time [s]'
+        '--to',
+        dest='end',
+        type=float,
+        metavar='S',
+        help='time since the first sample [s]; later samples are ignored',
     )
-    role = '; an unknown payload is sought only on --link (default: at the end of every chain)'
+    role = (
+        '; with --link, an unknown payload is sought only on this link, otherwise at the end of '
+        'every chain'
+    )
     arguments.add_link(parser, role)
     arguments.add_payload(parser)
     arguments.add_gravity(parser)
@@ -83,11 +94,15 @@ def make_parser() -> CommandParser:
         group=ROBOT,
         type=arguments.number('a speed above 0', lambda speed: 0.0 < speed < math.inf),
         metavar='SPEED',
-        help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
+        help='speed below which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
         f'{FRICTION_WIDTH} if it cannot be fitted)',
     )
     arguments.add_node_parameters(parser)
-    arguments.add_output(parser, '--parameters', 'the fitted friction, as parameters of the node')
+    arguments.add_output(
+        parser,
+        '--parameters',
+        'the fitted friction and any diagnosed rotor inertia, as parameters of the node',
+    )
     arguments.add_picture(parser, '<name of the recording>_compare.png')
     arguments.add_force(parser)
     arguments.add_strict(parser, 'there are warnings')
@@ -133,7 +148,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:
-    """Select the samples between two times [s] after the first sample."""
+    """Select the samples from `start` to `end`, which are times since the first sample [s]."""
     times = recording.times - recording.times[0]
     chosen = np.ones(len(times), dtype=bool)
     if start is not None:
@@ -155,7 +170,7 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 
 
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
-    """Write the friction and the rotor inertia of all joints as parameters of the node."""
+    """Write the fitted friction and any diagnosed rotor inertia as parameters of the node."""
     joints = sorted(result.joints, key=lambda joint: joint_names.index(joint.name))
     names = [joint.name for joint in joints]
     rotors = {

@@ -26,7 +26,7 @@ from ..robot.model import ModelWarning
 
 
 def show(*tables: Table) -> None:
-    """Print each table and an empty line."""
+    """Print each table, followed by an empty line."""
     terminal = _terminal()
     for table in tables:
         if terminal is None:
@@ -51,7 +51,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def waiting(label: str) -> Iterator[None]:
-    """Show a spinner on a terminal while the body runs."""
+    """Show a spinner on a terminal while the `with` block runs."""
     terminal = _terminal(stderr=True)
     if terminal is None:
         yield
@@ -104,7 +104,7 @@ def escaped_lines(text: str) -> str:
 
 @contextmanager
 def escaped_output() -> Iterator[None]:
-    """Escape the text that the body writes to standard output and standard error."""
+    """Escape the text that the `with` block writes to standard output and standard error."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (stream and EscapedOutput(stream) for stream in before)
     try:

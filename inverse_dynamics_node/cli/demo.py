@@ -58,9 +58,9 @@ exit code: 0 the demo passed; 1 it failed, or could not run; 2 invalid arguments
 
 
 CALIBRATE = 'calibrate'
-"""The scenario that identifies the robot between two runs."""
+"""The scenario that identifies the parameters of the robot between two runs of a motion."""
 _FRACTION = 0.6
-"""The motion uses this fraction of the limits, because tracking errors need a reserve."""
+"""The motion uses only this fraction of the limits, to leave room for tracking errors."""
 
 Draw = Callable[[Path], None]
 
@@ -100,7 +100,7 @@ class _Parser(CommandParser):
     """A parser that also checks the values of the options."""
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Parse the arguments; if an argument is wrong, print an error and exit with 2."""
+        """Parse the arguments; if one is wrong, print an error and exit with code 2."""
         options = super().parse(arguments)
         name = options.scenario
         least = 5.0 if name == CALIBRATE else SCENARIOS[name].least_duration
@@ -161,7 +161,9 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
         'uses; ROS_DOMAIN_ID is ignored)',
     )
     parser.add_argument(
-        '--link', default='', help='link that is loaded or pushed (default: a suitable link)'
+        '--link',
+        default='',
+        help='link to load or push (default: a link at or near the end of the arm)',
     )
     parser.add_argument(
         '--friction',
@@ -194,7 +196,7 @@ def _add_files(parser: CommandParser) -> None:
 def _run_scenario(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Run a scenario; return the verdict, and a function that draws the picture."""
+    """Run a scenario; return the outcome, and a function that draws the picture."""
     result = run_demo(options, stopped)
     title = f'{result.title}. {result.outcome}'
     draw = partial(pictures.draw, result.robot, title, result.timeline, result.history)
@@ -204,7 +206,7 @@ def _run_scenario(
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Run a motion before and after an identification; return the same as `_run_scenario`."""
+    """Run a motion before and after an identification; return results as `_run_scenario` does."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -216,8 +218,8 @@ def _run_identification(
     setup = DemoSetup(urdf, robot, motion.sample(0.0)[0], options.duration, options.link)
     truth = unknown_robot(setup)
     say(
-        'The masses and centres of mass of the simulated robot differ from the URDF. The robot '
-        'also has friction and rotors, which the URDF does not contain.'
+        'The masses, centres of mass and friction of the simulated robot differ from those in the '
+        'URDF. The robot also has rotor inertia, which a URDF does not contain.'
     )
     before, after, result = _runs(setup, motion, truth, options, stopped)
     errors = rms_errors(before, setup.duration), rms_errors(after, setup.duration)
@@ -230,13 +232,13 @@ def _run_identification(
 
 
 class _ExcitationMotion:
-    """An excitation motion for all joints, which rest before and after the motion."""
+    """An excitation motion; all joints are at rest before and after it."""
 
     def __init__(self, excitation: Excitation) -> None:
         self._series, self._limits = excitation.series, excitation.limits
 
     def sample(self, time: float) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations of all joints at one time."""
+        """Return positions, velocities and accelerations of all joints at the given time [s]."""
         times = np.array([min(max(time, 0.0), self._series.duration)])
         q, qd, qdd = whole_states(self._limits, States(*self._series.sample(times)))
         return q[0], qd[0], qdd[0]
@@ -249,7 +251,7 @@ def _runs(
     options: argparse.Namespace,
     stopped: Callable[[], bool],
 ) -> tuple[History, History, IdentificationResult]:
-    """Run with the URDF, identify the robot, and run with the calibrated URDF."""
+    """Run the motion, calibrate the URDF, and run the motion with the calibrated URDF."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         actual, recorded = folder / 'actual.urdf', folder / 'recorded'
@@ -304,4 +306,8 @@ def _table(
             )
         )
     columns = ('joint', 'error before', 'after', 'Coulomb', 'identified', 'rotor', 'identified')
-    return Table('RMS tracking errors, and simulated and identified values', columns, tuple(rows))
+    return Table(
+        'RMS tracking errors; friction and rotor inertia, simulated and identified',
+        columns,
+        tuple(rows),
+    )

@@ -39,10 +39,11 @@ examples:
   inverse_dynamics effort my_arm.urdf pick.yaml --trajectory-out pick_with_efforts.yaml
   inverse_dynamics effort my_arm.urdf rosbag2_2026_01_31/ --topic /joint_states --smooth 10
 
-Missing velocities are derived from a cubic spline through the positions, and missing accelerations
-from a cubic spline through the velocities. Quintic polynomials connect points that are far apart,
-as in the joint_trajectory_controller of ros2_control. Accelerations that are
-derived from measured states contain noise; --smooth 10 removes it.
+Missing velocities are derived from a cubic spline through the positions. Missing accelerations are
+derived from the same spline or, if the file has velocities, from a cubic spline through these. If
+points are too far apart in time for --rate, quintic polynomials connect them, as in the
+joint_trajectory_controller of ros2_control. Accelerations that are derived from measured states
+contain noise; --smooth 10 removes most of it.
 
 exit code: 0 done; 1 a file cannot be read or used; 2 invalid arguments; 3 a limit of effort, speed
 or position is exceeded, and --strict was given."""
@@ -57,9 +58,9 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'effort',
-        'Compute the joint efforts along a trajectory. The command prints the peaks beside the '
-        'limits, the RMS values and the terms of the efforts, and writes the efforts over time as '
-        'CSV and as a picture.',
+        'Compute the joint efforts along a trajectory. The command prints the peaks and their '
+        'limits, the RMS values, and the terms of the efforts. It also writes the efforts over '
+        'time as CSV and as a picture.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -77,7 +78,7 @@ def make_parser() -> CommandParser:
         '--smooth',
         type=_rate,
         metavar='HZ',
-        help='for measured states: remove changes above this frequency from the positions, and '
+        help='for measured states: low-pass filter the positions with this cut-off frequency, and '
         'derive velocities and accelerations from the result',
     )
     parser.add_argument(
@@ -85,8 +86,8 @@ def make_parser() -> CommandParser:
         type=_rate,
         default=200.0,
         metavar='HZ',
-        help='smallest number of states per second to evaluate; 0 evaluates only the points of '
-        'the trajectory (default: %(default)g)',
+        help='evaluate at least this many states per second; 0 evaluates only the points of the '
+        'trajectory (default: %(default)g)',
     )
     arguments.add_gravity(parser)
     arguments.add_output(
@@ -189,7 +190,7 @@ def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
 
 
 def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
-    """Return positions for the joints that the trajectory does not move."""
+    """Return, for every joint, the position that it keeps unless the trajectory moves it."""
     positions: Floats = np.clip(0.0, *joint_ranges(robot))
     for name, position in places:
         if name not in robot.joint_names:

@@ -39,9 +39,10 @@ examples:
   inverse_dynamics excite my_arm.urdf --speed 0.2
   inverse_dynamics effort my_arm.urdf my_arm_excite.csv
 
-The links stay 2 cm away from each other, from the floor and from each --box, according to the
-collision shapes of the URDF. A payload has no shape: enclose it in a collision shape of the URDF.
-The straight path from the pose of --at to the start is checked too. Rehearse the motion with
+The links stay at least 2 cm away from each other, from the floor and from each --box, according to
+the collision shapes of the URDF. Links that are close to each other by design may come closer. A
+payload has no shape: enclose it in a collision shape of the URDF. The straight path in joint
+space, from the pose that --at gives to the start pose, is checked too. Rehearse the motion with
 --speed 0.2: the robot follows the same path, but five times slower. The motion is written as a
 JointTrajectory without efforts, as a joint_trajectory_controller expects. A second file contains a
 slow motion to the start pose. Send this second file first. Record /joint_states during the motion.
@@ -52,7 +53,7 @@ arguments."""
 _YAML_RATE = 20.0
 """Rate of the points in the JointTrajectory [Hz]."""
 _SLOW = 0.2
-"""Fraction of the speed limits for the motion to the start pose."""
+"""Fraction of the speed limits that the motion to the start pose may use."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
 _speed = arguments.number('a factor above 0 and up to 1', lambda value: 0.0 < value <= 1.0)
 _height = arguments.number("a height or 'none'", math.isfinite)
@@ -62,9 +63,10 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'excite',
-        'Find the motion within the limits that best determines masses and friction. The command '
-        'writes the motion as CSV and as a JointTrajectory, draws a picture, and reports the '
-        'space that the motion needs and the standard errors to expect.',
+        'Within the limits of the robot, find the motion that is best for identifying masses and '
+        'friction. The command writes the motion as CSV and as a JointTrajectory, draws a '
+        'picture, and reports the space that the motion needs and the standard errors that the '
+        'identified parameters would have.',
         EPILOG,
         own='motion',
     )
@@ -79,13 +81,13 @@ def make_parser() -> CommandParser:
 
 
 def _add_limits(parser: CommandParser) -> None:
-    """Add the options for the space and the limits of the motion."""
+    """Add the options that limit the motion, and the options for its surroundings."""
     parser.add_argument(
         '--joints',
         nargs='+',
         default=[],
         metavar='JOINT',
-        help='joints to move (default: all that carry more than a few grams)',
+        help='joints to move (default: all except those that carry little mass, such as fingers)',
     )
     parser.add_argument(
         '--range',
@@ -93,10 +95,10 @@ def _add_limits(parser: CommandParser) -> None:
         default=[],
         type=_range,
         metavar='JOINT=LOW:HIGH',
-        help='range in which the joint may move, not reduced by --fraction [rad, m]; may be '
+        help='range in which the joint may move [rad, m], not reduced by --fraction; may be '
         'repeated',
     )
-    arguments.add_at(parser, 'before the motion, and during the motion if the joint does not move')
+    arguments.add_at(parser, 'before the motion; a joint that is not moved keeps this position')
     parser.add_argument(
         '--floor',
         type=_floor,
@@ -124,7 +126,7 @@ def _add_limits(parser: CommandParser) -> None:
 
 
 def _add_motion(parser: CommandParser) -> None:
-    """Add the options for the motion itself."""
+    """Add the options for the motion, the noise of the efforts, and the rate of the CSV file."""
     parser.add_argument(
         '--duration',
         type=_positive,
@@ -137,7 +139,7 @@ def _add_motion(parser: CommandParser) -> None:
         type=int,
         default=HARMONICS,
         metavar='N',
-        help='number of harmonics, at least 2 (default: %(default)d)',
+        help='number of harmonics of the Fourier series, at least 2 (default: %(default)d)',
     )
     parser.add_argument(
         '--speed',
@@ -150,8 +152,9 @@ def _add_motion(parser: CommandParser) -> None:
         '--noise',
         type=_positive,
         metavar='EFFORT',
-        help='assumed standard deviation of measured efforts [N m, N] (default: '
-        f'{100.0 * NOISE:g} %% of the effort limit)',
+        help='assumed standard deviation of the noise in measured efforts [N m, N] (default: '
+        f'{100.0 * NOISE:g} %% of the effort limit, or of the largest modelled effort if there '
+        'is no limit)',
     )
     parser.add_argument(
         '--rate',
@@ -212,7 +215,7 @@ def run(options: argparse.Namespace) -> int:
     assert limits.clearance
     box = limits.clearance.extent(whole_positions(limits, trajectory.positions))
     show(*excitation_tables(robot, excitation, trajectory, efforts, box))
-    say('Rehearse the motion slowly, with --speed 0.2.')
+    say('Before the motion runs at full speed, rehearse it: run this command with --speed 0.2.')
     print()
 
     with new_file(csv) as temporary:
@@ -258,7 +261,7 @@ def _to_start(excitation: Excitation) -> Trajectory:
     """
     Return a trajectory with one point, which is the start pose at rest.
 
-    Every joint can cross its range slowly before the time of this point.
+    The time of this point is late enough for every joint to cross its whole range slowly.
     """
     limits = excitation.limits
     longest = np.max(2.0 * limits.half / (_SLOW * limits.speeds))

@@ -36,15 +36,15 @@ examples:
   inverse_dynamics identify my_arm.urdf run.csv --payload 1.5,0,0,0.05 --link tool0
   inverse_dynamics identify my_arm.urdf run.mcap --fixed base_link gripper_base
 
-A recording is a rosbag2 folder, .mcap, .db3 or .csv file with measured efforts; the help of
+A recording is a rosbag2 folder, or a .mcap, .db3 or .csv file, with measured efforts; the help of
 `inverse_dynamics compare` describes these formats. Record motions of all joints at the same time,
 in varied poses, slowly and fast, in both directions, for 30 s or more; `inverse_dynamics excite`
 plans such a motion. Without --validate, the recordings are divided into blocks. Each block in turn
 is left out of the fit, and the result is evaluated on this block.
 
 Where the recordings give little information, the result stays close to the URDF. The result is
-always physically possible. If the identified model does not predict unseen data better than the
-URDF with fitted friction, only the friction is written.
+always physically possible. The identified model is accepted only if it predicts unseen data better
+than the URDF with fitted friction. Otherwise, only the friction is written.
 
 exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments; 3 the identified model
 was not accepted, and --strict was given."""
@@ -72,11 +72,11 @@ def make_parser() -> CommandParser:
         action='append',
         default=[],
         metavar='RUN',
-        help='recording that is not fitted, and on which the result is evaluated; may be repeated',
+        help='recording that is used only to evaluate the result, not to fit it; may be repeated',
     )
     arguments.add_output(parser, '--output', 'the calibrated URDF')
     arguments.add_output(
-        parser, '--parameters', 'friction, armature and offsets, as parameters of the node'
+        parser, '--parameters', 'friction, armature and effort offsets, as parameters of the node'
     )
     arguments.add_output(parser, '--json', 'the report as JSON')
     parser.add_argument(
@@ -98,7 +98,7 @@ def make_parser() -> CommandParser:
     arguments.add_link(parser)
     arguments.add_payload(parser)
     arguments.add_gravity(parser)
-    arguments.add_picture(parser, '<name of the robot>_identify.png')
+    arguments.add_picture(parser, '<name of the URDF>_identify.png')
     arguments.add_force(parser)
     arguments.add_strict(parser, 'the identified model is not accepted')
     return parser

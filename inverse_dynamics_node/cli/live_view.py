@@ -1,4 +1,4 @@
-"""Shows the state of a node as a screen, as a line of text, or as JSON."""
+"""Shows the state of a node as a full-screen view, as a line of text, or as JSON."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.SATURATED: 'r
 
 
 class LiveView:
-    """A screen that is updated in place until the context ends."""
+    """A full-screen view that is updated in place until the ``with`` block ends."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -56,7 +56,7 @@ class LiveView:
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
-    """Return the screen as an object of the library rich, with important lines first."""
+    """Return the content of the screen as a `rich` renderable, with the important lines first."""
     from rich.console import Group
 
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
@@ -76,7 +76,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
 
 
 def _cropped(content: Any, console: Any) -> Any:
-    """Replace the lines that do not fit on the terminal by a hint."""
+    """Replace the lines that do not fit on the terminal with a hint."""
     from rich.console import Group
     from rich.segment import Segment, Segments
 
@@ -211,7 +211,7 @@ def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
 
 
 def _payload(status: NodeStatus) -> str:
-    """List the payloads; return '' until the node has loaded a robot."""
+    """List the payloads; return '' until the node has a robot model."""
     return ', '.join(map(str, status.model.payloads)) or 'none' if status.model else ''
 
 
@@ -239,7 +239,7 @@ def _log(observer: Observer) -> list[Any]:
 
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
-    """Return the state as one line of text, for a pipe."""
+    """Return the state as one line of text, for output to a pipe."""
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
@@ -252,7 +252,7 @@ def as_line(observer: Observer, agreement: Agreement) -> str:
 def as_json(
     observer: Observer, sample: Sample | None, agreement: Agreement, codes: Mapping[Outcome, int]
 ) -> dict[str, Any]:
-    """Return all values for JSON; doc/watch.md describes the keys."""
+    """Return the values to print as JSON; doc/watch.md describes the keys."""
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     fault = agreement.faults[0] if agreement.faults else None
     values = agreement.numbers or (fault.values if fault else ())
@@ -300,7 +300,7 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
 
 
 def _text(*arguments: Any, **options: Any) -> Any:
-    """Return a `rich.text.Text`; rich is imported here, because a pipe does not need rich."""
+    """Return a `rich.text.Text`; rich is imported here, because plain text does not need it."""
     from rich.text import Text
 
     return Text(*arguments, **options)

@@ -78,7 +78,7 @@ _ADVICE = {
             'std_msgs',
             'trajectory_msgs',
         ),
-        f"source an installed ROS 2, or, {_PIP}[ros,demo]'",
+        f"source the setup file of ROS 2, or, {_PIP}[ros,demo]'",
     ),
     'mujoco': f"{_PIP}[demo]'",
 }
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _code_of(arguments: list[str]) -> int:
-    """Run one command, and print an error on one line."""
+    """Run one command, and return the exit code. Print any error on one line."""
     try:
         code = _run(arguments)
         sys.stdout.flush()  # flushed here, because a broken pipe is caught only here

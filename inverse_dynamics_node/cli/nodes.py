@@ -17,10 +17,10 @@ MOST_DISCOVERY = 10.0  # [s]; longest wait for a node, except in `watch` without
 
 
 def node_name(text: str) -> str:
-    """Check the name of a node on the command line."""
+    """Check a node name that was given on the command line, and return it."""
     if not re.fullmatch(r'/?(\w+/)*[A-Za-z_]\w*', text, re.ASCII):
         raise argparse.ArgumentTypeError(
-            f"'{text}' cannot be the name of a node: use letters, digits and _, separated by /"
+            f"'{text}' cannot be the name of a node: use letters, digits, _, and / between parts"
         )
     return text
 
@@ -31,7 +31,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
     `wanted` is the full name, or the last part of the name, or None for the only node. Wait until
     a node matches, but no longer than `MOST_DISCOVERY` unless `is_patient` is true. Raise
-    ConfigurationError if no node or more than one node matches.
+    ConfigurationError if no node matches, or if several match and none has the full name `wanted`.
     """
     from ..ros.observer import find_nodes
 
@@ -46,7 +46,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
         if not is_patient and waited > MOST_DISCOVERY:
             raise ConfigurationError(_not_found(wanted, names))
         if waited > _PATIENCE and not has_announced:
-            print(f'{_not_found(wanted, names)}; waiting for it', file=sys.stderr)
+            print(f'{_not_found(wanted, names)}; waiting for a node', file=sys.stderr)
             has_announced = True
         time.sleep(0.05)
     if wanted in chosen:
@@ -55,7 +55,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
 
 def only_one(names: list[str]) -> str:
-    """Return the only name, or ''; raise ConfigurationError if there are several names."""
+    """Return the only name, or '' if there is none; raise ConfigurationError for several names."""
     if len(names) > 1:
         raise ConfigurationError(
             f'there are {len(names)} nodes: {", ".join(names)}; choose one by its name, such as '

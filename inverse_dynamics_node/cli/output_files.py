@@ -1,9 +1,10 @@
 """
-Writes the files of a command without destroying other files.
+Writes the output files of a command without destroying other files.
 
 An input is never replaced. Any other existing file is replaced only with --force, or if the file
-is an unchanged output of an earlier call. The mark of an output is an extended attribute with the
-hash of the content. On file systems without extended attributes, --force is always necessary.
+is an unchanged output of an earlier call. Each output is marked with the hash of its content, in
+an extended attribute. On file systems without extended attributes, replacing a file always needs
+--force.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ def check_outputs(
     """
     Check that the outputs of a command do not replace a file that must be kept.
 
-    The keys of `outputs` are the options that give the paths. The input ``-`` is standard input.
+    The keys of `outputs`, such as '--picture', name the outputs in error messages.
+    The input ``-`` is standard input.
     Raise OutputError if an output is also an input or another output, even through a link.
     Without `force`, raise OutputError if an output exists, unless the file is an unchanged output
     of an earlier call.
@@ -92,7 +94,8 @@ def new_file(path: Path) -> Iterator[Path]:
     Yield the path of a temporary file, which replaces the output if the `with` body succeeds.
 
     If the body fails, an existing output is not changed. If the path is a symbolic link, the
-    target of the link is replaced. Raise OSError with the path if the output cannot be written.
+    target of the link is replaced. If the output cannot be written, raise an OSError that names
+    `path`, not the temporary file.
     """
     if _is_stream(path):
         yield path

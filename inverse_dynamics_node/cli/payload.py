@@ -42,15 +42,17 @@ examples:
 
 Record the same motion twice, without and with the payload. Move all joints slowly, in both
 directions, for 20 s or more. Or let the arm rest in 6 to 8 poses for 2 s each, and approach each
-pose from the same side. The help of `inverse_dynamics compare` lists the formats of recordings.
+pose from the same side in both recordings. The help of `inverse_dynamics compare` lists the
+formats of recordings.
 
-With --record, the command records the joint states of a running node, and then measures. To record
-the empty arm, leave out --empty: the result is then the payload that the empty arm seems to carry.
-Ctrl-C ends the recording early: the file then contains what was recorded, and nothing is measured.
+With --record, the command records the joint states of a running node, and then measures the
+payload. To record the empty arm, leave out --empty: the result is then the payload that the empty
+arm seems to carry. Ctrl-C ends the recording early: what was recorded is saved, but no payload
+is measured.
 
 exit code: 0 measured; 1 a recording cannot be used, or the node did not accept the payload;
-2 invalid arguments; 3 the recordings do not determine the mass, or only a part of the centre of
-mass; 130 ended by Ctrl-C."""
+2 invalid arguments; 3 the recordings do not determine the mass, or determine only a part of the
+centre of mass; 130 ended by Ctrl-C."""
 
 _NOT_SHOWN = 3
 
@@ -76,8 +78,9 @@ def make_parser() -> CommandParser:
         '--record',
         type=arguments.positive,
         metavar='SECONDS',
-        help='first record the joint states of a running node in the file LOADED for this time; '
-        'the diagnostics of the node say whether the efforts contain gravity (needs ROS 2)',
+        help='first record the joint states of a running node for this time, and write the file '
+        'LOADED; the diagnostics of the node say whether the efforts contain gravity '
+        '(needs ROS 2)',
     )
     parser.add_argument(
         '--node',
@@ -216,12 +219,12 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
 
 
 def _partial(path: Path) -> Path:
-    """Return the path of an unfinished recording."""
+    """Return the path that a recording has until it is complete."""
     return path.with_name(f'{path.stem}_partial.csv')
 
 
 def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
-    """Return whether the measured efforts contain gravity, and the factor of each joint."""
+    """Return the gravity convention and the scales of the measured efforts."""
     return reported_convention(status), dict(status.measured_scale())
 
 

@@ -1,4 +1,4 @@
-"""Reads recordings, and the settings of the node for measured efforts."""
+"""Reads recordings, and the node parameters that describe measured efforts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_recording(
 
 
 def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
-    """Multiply the efforts of each joint by the factor in `scale`, or by 1 without a factor."""
+    """Multiply the efforts of each joint by its factor in `scale`; the default is 1."""
     factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
     return recording._replace(efforts=factors * recording.efforts)
 
@@ -38,7 +38,7 @@ def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
 def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
-    """Read from node parameters which efforts contain gravity, and the scale of each joint."""
+    """Return the gravity convention and the effort scales in a parameter file, or the defaults."""
     given = {} if path is None else _node_parameters(path)
     try:
         in_commands = given.get('include_gravity', True)
@@ -63,7 +63,7 @@ def measured_efforts(
 
 
 def reported_convention(status: NodeStatus) -> GravityConvention:
-    """Return which efforts contain gravity, according to the diagnostics of a running node."""
+    """Return the gravity convention that the diagnostics of a running node report."""
     model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
     in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
     return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)

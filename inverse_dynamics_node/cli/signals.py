@@ -21,7 +21,7 @@ def handled_signals(handle: Callable[[int, object], object]) -> Iterator[None]:
 
 @contextmanager
 def collected_signals() -> Iterator[list[int]]:
-    """Collect the signals in a list, so that the ``with`` block can end in order."""
+    """Collect SIGINT, SIGTERM and SIGHUP in a list, so that the ``with`` block can end cleanly."""
     received: list[int] = []
     with handled_signals(lambda number, _: received.append(number)):
         yield received

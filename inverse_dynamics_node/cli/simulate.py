@@ -1,4 +1,4 @@
-"""The command `simulate`: runs a simulated robot for trying out the node."""
+"""The command `simulate`: runs a simulated robot to try out the node."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from .arguments import CommandParser
 EPILOG = """\
 The robot publishes joint_states with efforts. At first, a position controller holds the robot.
 When commands have arrived for 1.5 s and have stopped rising, the robot follows the commands, like
-an arm behind a forward_command_controller. When the commands stop, the position controller takes
+an arm with a forward_command_controller. When the commands stop, the position controller takes
 over after 0.5 s.
 
-The velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
-the URDF has none), the position controller brakes the robot and holds it. The robot then ignores
-commands until none has arrived for 0.5 s: set the parameter dry_run of the node to true, and then
-back to false.
+The velocities are supervised: if a joint is too fast, the position controller brakes the robot and
+holds it. The bound is twice the velocity limit, or 12.6 rad/s or 2 m/s if the URDF has no limit.
+After braking, the robot ignores commands until none has arrived for 0.5 s. To send commands again,
+set the parameter dry_run of the node to true, and then back to false.
 
 Two topics change the robot without informing the node: ~/payload (geometry_msgs/InertiaStamped)
 attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The service
 ~/hold (std_srvs/SetBool) lets the position controller hold the robot while its load is changed, or
 releases the robot. The prefix ~ stands for /simulated_robot.
 
-With --driver, commands, efforts and topics follow the conventions of this driver. If the driver
-needs a relay, the robot takes the commands directly from the node. doc/robots.md describes the
-drivers, and config/robots has a parameter file for each driver.
+The option --driver makes commands, efforts and topics follow the conventions of a driver. If the
+real driver needs a program that forwards commands, the simulated robot takes the commands directly
+from the node. doc/robots.md describes the drivers, and config/robots has a parameter file for each
+driver.
 {drivers}
 
 examples:

@@ -99,8 +99,9 @@ def make_parser() -> CommandParser:
         '--rate',
         type=arguments.positive,
         metavar='HZ',
-        help='expected rate of joint states, which are slow below 80 %% of this rate (default: '
-        'they are slow below half of update_rate, or below 80 Hz if the node has no update_rate)',
+        help='expected rate of joint states; below 80 %% of this rate, they are reported as slow '
+        '(without --rate: below half of update_rate, or below 80 Hz if the node has no '
+        'update_rate)',
     )
     return parser
 
@@ -225,7 +226,7 @@ class _Watch:
         )
 
     def _reason(self) -> str:
-        """Return why efforts cannot be compared, or ''."""
+        """Return why efforts cannot be compared; return '' if they can."""
         observer, status = self.observer, self.observer.status
         assert status is not None
         if status.is_computing:
@@ -271,7 +272,7 @@ class _Watch:
 
 
 def next_time(due: float, period: float, now: float) -> float:
-    """Return the next time to act, and skip the times that a delay has missed."""
+    """Return the next time to act, and skip times that have already passed."""
     return due + period if due + period > now else now + period
 
 

@@ -18,7 +18,7 @@ LARGEST = 1e300
 # Rows of `CommandShaper._rows`. Each column belongs to a commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 NOMINAL_STEP = 0.01
-"""Ramps advance by at most this time per command [s], unless the usual interval is longer."""
+"""Each command advances ramps by at most this time [s], or the usual interval if it is longer."""
 _LONGEST_STEP = 0.5  # [s]; longest usual interval, unless the period is longer
 # Time constant of the mean in `RampClock`, in usual intervals. One pause adds at most 25 %.
 _MEMORY = 8.0
@@ -68,9 +68,9 @@ class RampClock:
         """
         Advance to the time of a command [s]; return whether a blend must begin.
 
-        A blend begins with the first command after `start`. An interruption is a suspended
-        process, a stalled machine or a jump of the clock. Each command within 0.2 s after an
-        interruption also begins a blend.
+        A blend begins with the first command after `start`, and again with each command in
+        the 0.2 s after an interruption. Possible interruptions are a suspended process, a stalled
+        machine and a jump of the clock.
 
         """
         since, self._now = now - self._now, now
@@ -140,9 +140,9 @@ class CommandShaper:
     does not advance the blend, unless the previous command also started a blend. The difference
     therefore fades even if every command starts a blend.
 
-    A brief pause between calls of `follow` does not start a blend. Otherwise, intermittent
-    joint states would start many blends, and the command would repeat instead of following the
-    joints.
+    A brief pause between calls of `follow` does not start a blend. Otherwise, intermittent joint
+    states would start many blends, and each blend first repeats the last command. The commands
+    would then hardly follow the joints.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
@@ -158,9 +158,9 @@ class CommandShaper:
         """The last command, shape (m,) [N m or N]; the next command overwrites it."""
         self._flags = np.zeros((2, m), dtype=bool)
         self.is_saturated: Booleans = self._flags[0]
-        """Whether each effort of the last command was cut to its limit, shape (m,)."""
+        """Which efforts of the last command were cut to their limits, shape (m,)."""
         self.is_slowed: Booleans = self._flags[1]
-        """Whether a rate limit slowed the change of each effort, shape (m,)."""
+        """Which efforts of the last command changed less because of a rate limit, shape (m,)."""
         self.gain = 0.0
         """Factor for the computed efforts; rises from 0 to 1 over the start ramp."""
         self._has_rates = False
@@ -186,7 +186,7 @@ class CommandShaper:
         stop_ramp: float,
     ) -> None:
         """
-        Change the settings; call `begin` after all changes.
+        Change the settings; the caller must then call `begin`.
 
         All arrays have shape (m,). A command is ``scale`` times the computed effort, plus
         ``offset`` [N m or N]. ``limits`` bounds the magnitude of the commands [N m or N].
@@ -205,14 +205,14 @@ class CommandShaper:
         """
         Start to blend from the last command to the computed efforts.
 
-        The blend lasts for ``start_ramp``, or for the rest of a longer blend in progress. During a
-        stop ramp, the blend waits for the next `follow`.
+        The blend lasts for ``start_ramp``, or for the rest of a blend in progress if that is
+        longer. During a stop ramp, the blend waits for the next `follow`.
 
-        After a change of settings, ``tau`` contains the new efforts for the inputs of the last
-        command, shape (n,) [N m or N]. ``added`` contains efforts to add for the commanded joints,
-        shape (m,) [N m or N]. Only the difference between the last command and ``tau`` fades, so
-        that the next command follows new inputs at once. Without ``tau``, the next command equals
-        the last command.
+        After a change of settings, ``tau`` contains the efforts that the new settings give for the
+        inputs of the last command, shape (n,) [N m or N]. ``added`` contains efforts to add to
+        those of the commanded joints, shape (m,) [N m or N]. Only the difference between the last
+        command and ``tau`` fades, so that the next command follows new inputs at once. Without
+        ``tau``, the next command equals the last command.
 
         """
         if self._way is _Way.FALLING:
@@ -264,8 +264,8 @@ class CommandShaper:
         Command the computed efforts; return False if an effort is NaN or exceeds `LARGEST`.
 
         ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N]. ``added``
-        contains efforts to add for the commanded joints, shape (m,) [N m or N]. If the result is
-        False, the command stays the same.
+        contains efforts to add to those of the commanded joints, shape (m,) [N m or N]. If the
+        result is False, the command stays the same.
 
         """
         self._rows[_ADDED] = added
@@ -318,10 +318,10 @@ class CommandShaper:
         """
         Ramp the commands down to zero, starting from the last command.
 
-        ``damping`` contains efforts to add, shape (m,) [N m or N]. If a command plus damping would
-        exceed its limit, all damping efforts are scaled by one factor, so that the damping still
-        opposes the motion.
-        ``limits`` has shape (m,) [N m or N]; the default is the limits of `configure`.
+        ``damping`` contains efforts to add to the ramp, shape (m,) [N m or N]. If a command plus
+        damping would exceed its limit, all damping efforts are scaled down by the same factor, so
+        that the damping still opposes the motion.
+        ``limits`` has shape (m,) [N m or N]; the default is the limits passed to `configure`.
 
         """
         if self._way is _Way.FALLING:
@@ -366,22 +366,24 @@ def blend_efforts(
     elapsed: float,
 ) -> bool:
     """
-    Compute the next command; if an effort is not finite, keep the command and return False.
+    Compute the next command; return False if an effort is NaN or exceeds `LARGEST`.
 
     - ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N].
     - ``rows`` has shape (10, m), with one column per commanded joint.
-    - Rows `_INDEX` to `_RATE` contain the index of the joint in the robot, the effort to add, the
-      scale, the offset, the limit and the rate limit.
-    - Row `_WANTED` receives the scaled effort.
+    - Rows `_INDEX` to `_RATE` contain, in this order, the index of the joint in ``tau``, the
+      effort to add, the scale, the offset, the limit and the rate limit.
+    - Row `_WANTED` receives the effort after scale and offset.
     - Row `_JUMP` contains the last command minus the computed effort, at the start of the blend.
-    - Row `_EXCESS` contains the excess over the limit, at the start of the blend.
-    - Row `_COMMAND` contains the last command, and receives the next command.
+    - Row `_EXCESS` contains the excess of the last command over its limit, at the start of the
+      blend.
+    - Row `_COMMAND` contains the last command, and receives the next command unless the result is
+      False.
     - ``flags`` has shape (2, m). Row 0 is set where an effort was cut to its limit. Row 1 is set
       where a rate limit slowed the change of an effort.
 
     ``gain`` is the factor for the computed efforts. ``left`` is the fraction of `_JUMP` and
     `_EXCESS` that has not faded yet. ``is_new`` says whether a blend begins with this command.
-    ``has_rates`` says whether rate limits exist. ``elapsed`` is the time step of rate limits [s].
+    ``has_rates`` says whether rate limits exist. ``elapsed`` is the time step for rate limits [s].
 
     """
     # Without numba, floats are faster than numpy scalars, and do not cause warnings.

@@ -15,10 +15,10 @@ _LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restart
 
 class ExternalEffortEstimator:
     r"""
-    Estimates external joint efforts by subtracting modelled from measured efforts.
+    Estimates external joint efforts from the differences between measured and modelled efforts.
 
     Accelerations are the derivatives of filtered velocities. The same low-pass :math:`L` filters
-    velocities and efforts. The result is :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
+    velocities and efforts. `update` returns :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
     M(q)\,\frac{d}{dt} L[\dot q]`. Both terms of the difference have the same lag, so that the
     terms cancel if the model explains the motion.
 
@@ -33,7 +33,7 @@ class ExternalEffortEstimator:
         self.scale = np.ones(n)
         """Factors that convert measured values into efforts [N m or N], shape (n,)."""
         self.filter = LowPass(np.zeros((2, n)), cutoff)
-        """Row 0: velocities. Row 1: measured minus modelled efforts at zero acceleration."""
+        """Row 0: velocities. Row 1: measured efforts minus those modelled at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 

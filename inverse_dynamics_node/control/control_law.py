@@ -37,7 +37,7 @@ class Reference(NamedTuple):
 
 class ControlLaw:
     """
-    Computes efforts from joint states and references, according to the mode.
+    Computes efforts from joint states and references, according to the control mode.
 
     The dynamics include all n joints of the robot. Uncommanded joints are assumed to have zero
     acceleration. ``index`` contains the indices of the m commanded joints among the n joints.
@@ -53,8 +53,8 @@ class ControlLaw:
         self._velocities = self._rest
         self._no_efforts = self.added = np.zeros(len(index))
         """
-        Efforts to add to the computed efforts, shape (m,) [N m or N]. The reference, joint
-        impedance or hand guiding provides these efforts.
+        Efforts to add to the computed efforts, shape (m,) [N m or N]. These efforts come
+        from the reference, joint impedance or hand guiding.
         """
         self.equilibrium: Floats | None = None
         """
@@ -76,7 +76,7 @@ class ControlLaw:
         self._has_guiding_damping = bool(of_joint['guiding_damping'].any())
 
     def reset(self) -> None:
-        """Forget the inputs of the last command."""
+        """Forget the inputs of the last command, and restart the velocity filter."""
         self._velocity_filter.reset()
         self._has_last_inputs = False
 
@@ -96,10 +96,11 @@ class ControlLaw:
 
     def efforts(self, now: float, state: State, reference: Reference | None) -> Floats | None:
         """
-        Compute the efforts of all joints, shape (n,) [N m or N]; None if there is no solution.
+        Compute the efforts of all joints, shape (n,) [N m or N]; return None if one is not finite.
 
-        Without a reference, all accelerations are zero, and joint impedance holds its equilibrium.
-        The result is valid until the next call. ``now`` is the time [s].
+        Without a reference, all accelerations are zero, and joint impedance holds the joints at
+        `equilibrium`. The result does not include `added`, and is valid until the next call.
+        ``now`` is the time [s].
 
         """
         mode, positions = self.settings.mode, reference.positions if reference else None
@@ -121,7 +122,7 @@ class ControlLaw:
         self._followed, self._has_last_inputs = None, False
 
     def last_efforts(self) -> Floats | None:
-        """Recompute efforts from the inputs of the last command; None if there are no inputs."""
+        """Recompute efforts from the inputs of the last command; None if no inputs are stored."""
         if not self._has_last_inputs:
             return None
         return self._efforts(self._last_q, self._last_qd, self._last_reference)
@@ -142,7 +143,7 @@ class ControlLaw:
 
     def cause_of_failure(self) -> str:
         """
-        Name the joint and the value that prevented a solution in the last step.
+        Name the joint and the value that prevented finite efforts in the last step.
 
         If all inputs are plausible, the value is a computed effort.
 
@@ -270,8 +271,8 @@ class DriveReference:
 
         ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). The reference
         replaces the measured motion over ``start_ramp`` [s]. ``elapsed`` is the time step of this
-        ramp [s]; see `RampClock`. The measured motion is sent if the reference is farther from a
-        joint than ``farthest`` [rad or m]. If ``farthest`` is 0, any distance is accepted.
+        ramp [s]; see `RampClock`. The measured motion is sent if any joint is farther than
+        ``farthest`` [rad or m] from the reference. If ``farthest`` is 0, any distance is accepted.
 
         """
         reference, distance = self._law.followed, np.zeros_like(q)
@@ -300,7 +301,7 @@ def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
 
 
 def _compact_index(index: list[int]) -> Any:
-    """Return a slice if the indices are consecutive, because slices are three times as fast."""
+    """Return consecutive indices as a slice, which is faster, and other indices as an array."""
     first = index[0]
     if index == list(range(first, first + len(index))):
         return slice(first, first + len(index))
@@ -323,7 +324,7 @@ def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
 
 
 def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
-    """Return name and index of the largest magnitude; NaN is regarded as infinite."""
+    """Return the array name and the index of the largest magnitude; NaN is treated as infinite."""
     sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
     row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
     return list(arrays)[int(row)], int(joint)

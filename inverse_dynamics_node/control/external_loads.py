@@ -181,7 +181,7 @@ class ExternalLoads:
         return was_lost
 
     def expect_new_signal(self) -> None:
-        """Restart the filter with the next motion of the base."""
+        """Restart the filter at the next call of `set_base_motion`."""
         self._is_new_signal = True
 
     def is_base_known(self, now: float) -> bool:
@@ -190,7 +190,7 @@ class ExternalLoads:
 
     def update(self, now: float, elapsed: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and detect an unknown motion of the base.
+        Advance the ramps, fade out stale wrenches, and check whether the base motion is known.
 
         ``elapsed`` is the time step of ramps [s]; see `RampClock`. The result is true if efforts
         may jump because the motion of the base has just become unknown.
@@ -221,7 +221,7 @@ class ExternalLoads:
 
     @contextmanager
     def gravity_included(self, is_included: bool) -> Iterator[None]:
-        """Within this context, include or exclude gravity and the acceleration of the base."""
+        """Include or exclude gravity and the acceleration of the base within this context."""
         if is_included is self.include_gravity:
             yield
             return
@@ -243,10 +243,11 @@ class ExternalLoads:
 
     def continue_from(self, other: ExternalLoads) -> list[str]:
         """
-        Take over the loads of another robot description, without ramps.
+        Take over the loads of ``other``, which belongs to another robot description.
 
-        A payload is dropped if this robot lacks the link. The result lists the links of the
-        dropped payloads. ``other`` must not be used afterwards.
+        Payloads that are being ramped in apply fully at once. A payload is dropped if this robot
+        lacks the link. The result lists the links of the dropped payloads. ``other`` must not be
+        used afterwards.
 
         """
         dropped = []

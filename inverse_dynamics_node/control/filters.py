@@ -14,8 +14,8 @@ class LowPass:
     """
     First-order low-pass filter for an array that is sampled at irregular times.
 
-    The elements may be sampled at different times. An element restarts from the latest sample
-    after a long gap or a step back in time, or if its filtered value is not finite.
+    The elements may be sampled at different times. The filter of an element restarts from the
+    latest sample after a long gap or a step back in time, or if the filtered value is not finite.
 
     ``value`` is the initial filtered value. ``cutoff`` is the cutoff frequency [Hz]; 0 disables
     the filter.
@@ -30,7 +30,7 @@ class LowPass:
         self.reset()
 
     def reset(self) -> None:
-        """Restart all elements with the next sample."""
+        """Restart the filters of all elements with the next sample."""
         self._time: float | Floats = -math.inf
 
     def update(
@@ -44,8 +44,8 @@ class LowPass:
         Filter a sample; return the filtered value as a new array of the same shape.
 
         ``time`` [s], ``longest_gap`` [s] and ``restarts`` have one value for all elements, or one
-        value for each element. An element restarts if its last sample is older than
-        ``longest_gap``, or if ``restarts`` is true for this element.
+        value for each element. The filter of an element restarts if its previous sample is older
+        than ``longest_gap``, or if ``restarts`` is true for this element.
 
         """
         elapsed = time - self._time

@@ -1,4 +1,4 @@
-"""Collects joint states by joint name: positions, velocities, efforts and times of arrival."""
+"""Collects positions, velocities, efforts and arrival times of joints by joint name."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _VELOCITY_TIMEOUT = 0.05  # [s]
 _MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
 _LONGEST_NAME = 100  # [characters]; longer names take too long to compare
 LONG_AGO = -1e300
-"""Time of a locked joint before its first report [s]; finite, so that the age is finite."""
+"""Time stored for a locked joint that was never reported [s]; finite, so that ages are finite."""
 # Rows of the known state, with one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, with one column per joint in the message.
@@ -49,7 +49,7 @@ class State(NamedTuple):
     qd: Floats
     """Joint velocities, shape (n,) [rad/s or m/s]."""
     time: float
-    """Arrival time of the oldest state of a commanded joint [s]."""
+    """Oldest arrival time among the commanded joints [s]."""
     times: Floats
     """Arrival time of each joint's state, shape (n,) [s]."""
     is_consistent: bool = True
@@ -63,13 +63,13 @@ class Layout:
     names: tuple[str, ...]
     """All names in the message."""
     places: Integers
-    """Indices of the k known joints in the robot and in the message, shape (2, k)."""
+    """Indices of the k known joints, in the robot (row 0) and in the message (row 1)."""
     received: Floats
     """Positions, velocities and efforts of the last message, shape (3, number of names)."""
     has_joints: bool
     """Whether the message names any joint of this robot."""
     losses: int = -1
-    """`JointStateCollector._losses` at the last check; -1 if a joint had no velocity."""
+    """`JointStateCollector._losses` when `_complete` last ran; -1 if a joint had no velocity."""
 
 
 class JointStateCollector:
@@ -103,19 +103,20 @@ class JointStateCollector:
         self.times[:], self.efforts[:] = -math.inf, math.nan
         self.has_jumped = False
         """
-        Set when the state may have jumped; cleared by the reader. The possible causes are:
+        Set when the state may have jumped; cleared by the caller. The possible causes are:
 
-        - A joint has moved further than it can.
-        - An uncommanded joint has become late, or is no longer late or locked.
+        - A joint has apparently moved faster than it can.
+        - An uncommanded joint has become late, or is no longer late.
+        - A locked joint was reported for the first time.
         - The positions of an uncommanded joint have begun or ceased to alternate.
         - The velocity of a joint was reported for the first time, or is no longer reported.
         """
         self.has_leapt = False
-        """Set when a commanded joint has moved further than it can; cleared by the reader."""
+        """Like `has_jumped`, but only set when a commanded joint has moved too fast."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """Messages without velocities are rejected for this time after a velocity [s]."""
+        """Time after a joint's last velocity in which states without velocity are rejected [s]."""
         self.lost_velocities: list[str] = []
-        """Joints whose velocities are no longer reported; cleared by the reader."""
+        """Joints whose velocities are no longer reported; cleared by the caller."""
         self.late_count = 0
         """Number of late joints that `rest_late` found, except commanded and locked joints."""
         self._has_velocity = np.zeros(n, dtype=bool)
@@ -130,14 +131,14 @@ class JointStateCollector:
         self._tracks = make_tracks(n, robot)
         self._is_alternating = np.zeros(n, dtype=bool)
         self.has_alternating = False
-        """Whether positions of any joint alternate; see `position_tracks`."""
+        """Whether the positions of any joint alternate; see `position_tracks`."""
         self.is_consistent = True
         """False while positions of a commanded joint alternate; see `position_tracks`."""
         self._is_resting = np.zeros(n, dtype=bool)
         self._has_resting = False
         compile_kernels()
         self.time = self._other_time = -math.inf
-        """Arrival time of the oldest state of a commanded joint [s], -inf until all arrived."""
+        """Oldest arrival time among the commanded joints [s]; -inf until all were reported."""
         self._find_oldest()
 
     def layout(self, names: tuple[str, ...]) -> Layout:
@@ -164,12 +165,12 @@ class JointStateCollector:
 
         ``now`` is the time of arrival [s]. ``layout`` is the result of the method `layout` for the
         names in the message. ``positions`` has one value for each name. ``velocities`` and the
-        measured ``efforts`` have one value for each name, or are empty. Missing and NaN velocities
-        are stored as zero. A missing velocity is an error within `velocity_timeout` after the last
-        velocity of the joint.
+        measured ``efforts`` have one value for each name, or are empty. A velocity is required
+        if the joint had one less than `velocity_timeout` ago. Otherwise, missing and NaN
+        velocities are stored as zero.
 
         The result is true if the message names a joint of the robot. A JointStateError is raised
-        if the lengths differ, or if a necessary value is not finite.
+        if the lengths differ, or if a position or a required velocity is not finite.
 
         """
         names = layout.names
@@ -211,7 +212,7 @@ class JointStateCollector:
         return State(self.q, self.qd, self.time, self.times, self.is_consistent)
 
     def continue_from(self, other: JointStateCollector) -> None:
-        """Copy the states of joints that both collectors contain."""
+        """Copy the states of common joints from another collector."""
         for name, i in self._index.items():
             k = other._index.get(name)
             if k is not None and other.times[k] > LONG_AGO:
@@ -222,11 +223,11 @@ class JointStateCollector:
         self._find_oldest()
 
     def missing(self) -> list[str]:
-        """Return the joints that were never reported."""
+        """Return the unlocked joints that were never reported."""
         return self._named(self.times == -math.inf)
 
     def similar_names(self) -> list[str]:
-        """Return reported names that resemble missing joints, but are unknown."""
+        """Return unknown reported names that resemble the names of missing joints."""
         closest: list[str] = []
         for name in self.missing():
             closest += difflib.get_close_matches(name, self._foreign_names, 1)
@@ -238,7 +239,7 @@ class JointStateCollector:
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
         """
-        Return the time since the last report of each late joint, by name [s].
+        Return, by name, the time since the last report of each late joint [s].
 
         A joint is late if this time exceeds the timeout [s]. Commanded and locked joints are not
         included, nor are joints without a report.
@@ -249,12 +250,12 @@ class JointStateCollector:
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
     def alternating(self) -> dict[str, tuple[float, float]]:
-        """Return, by name, two positions of each joint with alternating positions."""
+        """Return, by name, the two positions between which each faulty joint alternates."""
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 
     def forget_silent(self, now: float) -> None:
-        """End the alarms of joints that are no longer reported; ``now`` is in [s]."""
+        """Stop treating joints without recent reports as alternating; ``now`` is the time [s]."""
         if self.has_alternating:
             forget_silent(self._tracks, now - self.times)
             self._find_alternating()
@@ -379,7 +380,7 @@ def compile_kernels() -> None:
 @compiled
 def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
     """
-    Return the oldest arrival times [s] of the commanded joints and of the other joints.
+    Return the oldest arrival time of the commanded joints, and that of the other joints [s].
 
     ``times`` contains the arrival time of each joint's state, shape (n,). Locked joints that were
     never reported are ignored. The time of a group without joints is inf.
@@ -405,14 +406,14 @@ def store_joint_state(
     has_efforts: bool,
 ) -> int:
     """
-    Store the joint states of a message if all are finite; otherwise change nothing.
+    Store a message if all positions and velocities are finite; otherwise change nothing.
 
     - ``received`` contains positions, velocities and efforts of the l joints in a message, shape
       (3, l).
     - ``places`` contains the indices of the k joints to store, shape (2, k). Row 0 refers to the
       robot, row 1 to the message.
     - ``known`` receives positions, velocities, times and efforts, shape (4, n). While positions of
-      an uncommanded joint alternate, the last position stays, and the velocity is zero.
+      an uncommanded joint alternate, its stored position stays the same, and its velocity is 0.
     - ``tracks`` comes from `position_tracks.make_tracks`.
     - ``now`` is the time [s].
 
@@ -420,8 +421,8 @@ def store_joint_state(
     `CONSISTENT` plus any of the following flags:
 
     - `ALTERNATING`: the positions of a joint alternate faster than the joint can move.
-    - `JUMPED`: a joint has moved further than it can, and the new position is stored.
-    - `LEAPT`: a commanded joint has moved further than it can.
+    - `JUMPED`: a joint has apparently moved faster than it can, and the new position is stored.
+    - `LEAPT`: a commanded joint has apparently moved faster than it can.
 
     """
     in_robot, in_message = places[0], places[1]

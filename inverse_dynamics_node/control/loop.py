@@ -44,12 +44,12 @@ class Command(NamedTuple):
     is_slowed: Booleans
     """Whether a rate limit slowed the change of each effort, shape (m,)."""
     sent: Floats | None = None
-    """Efforts to send to the robot [N m or N]; None if nothing is sent during a dry run."""
+    """Efforts to send to the robot [N m or N]; None while a dry run sends nothing."""
 
 
 class Controller:
     """
-    Computes one command per step; equal inputs produce equal commands.
+    Computes one command per step; equal sequences of inputs produce equal commands.
 
     The dynamics include all n joints of the robot. Uncommanded joints are assumed to have zero
     acceleration. ``joints`` lists the m joints to command, in the order of the commands. An empty
@@ -83,9 +83,9 @@ class Controller:
         """
         Change the settings; the next step continues from the last command.
 
-        Call this method after other changes, for example of friction. All changes are blended in
-        over the start ramp, so that the efforts do not jump. If a setting has the wrong number of
-        values, a ConfigurationError is raised and nothing changes.
+        Also call this method after changes of the dynamics, for example of friction. All changes
+        are blended in over the start ramp, so that the efforts do not jump. If a setting has the
+        wrong number of values, a ConfigurationError is raised and nothing changes.
 
         """
         of_joint = settings.expanded(len(self.joints))
@@ -178,7 +178,7 @@ class Controller:
         self.stop_damping.continue_from(other.stop_damping)
 
     def pass_time(self, now: float) -> float:
-        """Advance to the time of a command [s]; return the time step of ramps [s]."""
+        """Advance the clock of the ramps to ``now`` [s]; return the time step of the ramps [s]."""
         clock = self.shaper.clock
         if clock.advance(now):
             self.shaper.begin()
@@ -188,11 +188,11 @@ class Controller:
         self, now: float, state: State | None, reference: Reference | None
     ) -> Command | None:
         """
-        Compute the next command; return None before the first complete joint state.
+        Compute the next command; return None before the first complete, fresh joint state.
 
         Call `pass_time` first. ``now`` is the time [s], measured by the same clock as the times of
         ``state`` and ``reference``. ``state`` is the latest joint state, and ``reference`` is the
-        latest reference. Pass None if no state or no reference has arrived.
+        latest reference. Pass None for a state or reference that has not arrived.
 
         """
         settings, damping = self.settings, self.stop_damping
@@ -235,8 +235,9 @@ class ControlLoop:
     ``period`` is the time between steps [s]; 0 if each joint state triggers a step. ``gravity`` is
     the free-fall acceleration in the frame of the base link [m/s^2]; see `ExternalLoads`.
     ``locked`` contains the positions of locked joints; see `JointStateCollector`. Locked joints
-    cannot be commanded. With ``has_imu``, there are no commands before the first message about the
-    motion of the base. A ConfigurationError is raised if an argument does not fit the robot.
+    cannot be commanded. If ``has_imu`` is true, there are no commands before the first message
+    about the motion of the base. A ConfigurationError is raised if an argument does not fit the
+    robot.
 
     """
 
@@ -269,7 +270,7 @@ class ControlLoop:
         self.index = robot.joint_indices(self.controller.joints)
         self.drive = DriveReference(self.controller.law)
         self.dry_run = DryRun()
-        """The dry run, which decides whether the commands are sent."""
+        """Selects the efforts to send, also while no dry run is active."""
 
     def start(self, *, is_dry_run: bool = False) -> None:
         """Start with zero efforts and without a reference."""
@@ -280,7 +281,7 @@ class ControlLoop:
 
     @property
     def has_to_stop(self) -> bool:
-        """Whether the robot holds a nonzero effort, or stop damping is active."""
+        """Whether the robot last received a nonzero effort, or stop damping is active."""
         is_damped = self.controller.stop_damping.is_active and not self.dry_run.is_active
         return self.dry_run.has_effort or is_damped
 
@@ -288,7 +289,7 @@ class ControlLoop:
         """
         Start or end a dry run; return whether anything changed.
 
-        A dry run cannot end while the robot holds a nonzero effort.
+        A dry run does not end before the efforts sent to the robot have fallen to zero.
 
         """
         dry_run, controller = self.dry_run, self.controller
@@ -305,7 +306,7 @@ class ControlLoop:
         return True
 
     def step(self, now: float) -> Command | None:
-        """Compute the command for one time [s]; return None while inputs are `missing`."""
+        """Compute the command at time ``now`` [s]; return None while inputs are `missing`."""
         controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
@@ -393,8 +394,8 @@ class ControlLoop:
         """
         Apply the scale and offset of the commands to modelled efforts [N m or N].
 
-        ``efforts`` and the result have shape (k, len(index)). ``index`` contains the indices of
-        the joints in the robot. Efforts of uncommanded joints stay unchanged.
+        ``efforts`` and the result have shape (k, len(index)). ``index`` contains the index of each
+        column's joint in the robot. Efforts of uncommanded joints stay unchanged.
 
         """
         scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
@@ -404,7 +405,7 @@ class ControlLoop:
         return calibrated
 
     def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
-        """Return the joints with efforts beyond their limits; see `calibrated` for arguments."""
+        """Return the joints whose limits are exceeded; ``efforts`` is a result of `calibrated`."""
         limits = self.robot.effort_limits.copy()
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
@@ -419,7 +420,7 @@ class ControlLoop:
         return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute force [N] and moment [N m] of the mount on the base link, in the base frame."""
+        """Compute the mount's force [N] and moment [N m] on the base, in the base frame."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.law.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])

@@ -177,9 +177,9 @@ class StalledPublishers:
         """
         Return the length of the silence [s].
 
-        ``is_expected`` says whether a connected publisher could send. The silence excludes times
-        without an expected message, and times when this process was suspended. All times are in
-        [s].
+        ``is_expected`` says whether a publisher that could send messages is connected. The silence
+        excludes times when no message was expected, and times when this process was suspended. All
+        times are in [s].
 
         """
         pause = now - self._last_update

@@ -1,28 +1,29 @@
 """
-Follows the reported positions of each joint to detect two faults.
+Follows the reported positions of each joint to detect two kinds of faults.
 
-**Alternating positions** change back and forth faster than the joint can move. Usually, two
-publishers report the same joint. `track` detects alternating positions by their reversals. A
-reversal is a step against the direction of the previous step. `track` adds up the reversals, and
-subtracts the distance that the joint could cover at twice its speed limit. A single jump, for
-example of a reset encoder, is not a reversal. Motion within the speed limit does not cause an
-alarm if each message is at most `LATENESS` late. Three kinds of reversals are ignored, because
-they are harmless:
+**Alternating positions** change back and forth faster than the joint can move. The usual cause is
+that two publishers report the same joint. `track` detects alternating positions by their
+reversals. A reversal is a step against the direction of the previous step. `track` adds up the
+sizes of the reversals, and subtracts the distance that the joint could cover meanwhile at twice
+its speed limit. A single jump, for example after an encoder is reset, does not cause an alarm.
+Motion within the speed limit does not cause an alarm if each message is at most `LATENESS` late.
+Three kinds of reversals are ignored, because they are harmless:
 
 - reversals due to noise or coarse encoders
 - full turns of rotary joints
 - reversals due to a second publisher that relays the positions with a slight delay
 
-Relayed positions lag by a fraction of the distance that the joint has recently covered.
-Contradictory positions differ by the whole distance.
+The size of the reversals reveals such a relay. Relayed positions lag by only a fraction of the
+distance that the joint has recently covered. Contradictory positions differ by the whole distance
+that the joint seems to cover.
 
-**Jumps** are faster than a joint can move, whatever the cause; see `has_jumped`. For example, an
+**Jumps** are steps that are faster than a joint can move; see `has_jumped`. For example, an
 encoder is reset, or a suspended process resumes and receives many old messages at once. A joint
 may seem to move slightly too fast, because messages may be late. Each joint therefore has some
 room for motion in each direction. The room grows at twice the speed limit, and shrinks as the
 joint moves in this direction. The room is at most the distance that the joint covers at twice the
-speed limit within the largest expected delay. After a pause, the room is zero, because messages
-from the pause may still arrive.
+speed limit within the largest expected delay. After a pause, the room is zero, so that motion in a
+burst of old messages counts as a jump.
 
 All times are times of arrival.
 """
@@ -148,7 +149,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
 @compiled
 def ignored_step(tracks: Any, i: int, step: float) -> float:
-    """Return the largest step [rad or m] that noise or the encoder of a joint can explain."""
+    """Return the largest step [rad or m] that noise or the encoder resolution can explain."""
     # Include the sum of two steps, because every second position may come from the same publisher.
     for change in (step, step + tracks[_ANY_STEP, i]):
         if abs(change) > _LEAST_STEP:
@@ -179,7 +180,7 @@ def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
 @compiled
 def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
-    Return whether a joint has moved further than it can; call `has_jumped` before `track`.
+    Return whether a joint has apparently moved faster than it can; call this before `track`.
 
     ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
     reported position [rad or m]. ``elapsed`` is the time since the previous report of this joint

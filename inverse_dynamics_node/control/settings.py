@@ -20,7 +20,7 @@ from ..robot.model import Floats
 
 
 class Mode(enum.Enum):
-    """How the commanded accelerations are chosen."""
+    """How the controller uses the reference."""
 
     INVERSE_DYNAMICS = 'inverse_dynamics'
     """Use the accelerations of the reference."""
@@ -29,7 +29,7 @@ class Mode(enum.Enum):
     GRAVITY_COMPENSATION = 'gravity_compensation'
     """For hand guiding: ignore the reference, and use zero accelerations and velocities."""
     JOINT_IMPEDANCE = 'joint_impedance'
-    """Use the accelerations of the reference, plus a spring and damper towards the reference."""
+    """Use the accelerations of the reference, and add the efforts of springs and dampers."""
 
 
 class MeasuredGravity(enum.Enum):
@@ -58,7 +58,7 @@ class StalePolicy(enum.Enum):
     ZERO = 'zero'
     """Ramp the efforts down to zero."""
     HOLD = 'hold'
-    """Keep the last efforts, if the arm would otherwise fall and has reliable sensors."""
+    """Keep the last efforts; for arms that have reliable sensors and would otherwise fall."""
 
 
 PerJoint = float | tuple[float, ...]
@@ -69,8 +69,8 @@ def setting(default: Any, summary: str, details: str = '', **properties: Any) ->
     """
     Declare a setting that is also a parameter of the node.
 
-    In a parameter file, 0 stands for an infinite ``default``. The other arguments are those of
-    `Parameter` in node/parameter_types.py.
+    If ``default`` is infinite, the default of the parameter is 0, which means unlimited. The other
+    arguments are those of `Parameter` in node/parameter_types.py.
 
     """
     given = default.value if isinstance(default, enum.Enum) else default
@@ -233,7 +233,7 @@ LARGEST_GRAVITY = 100.0
 
 @dataclass(frozen=True)
 class LoadSettings:
-    """How fast external loads change."""
+    """Filter, timeouts and ramp of the external loads."""
 
     imu_filter_cutoff: float = setting(
         20.0,

@@ -37,7 +37,7 @@ class NodeNames(NamedTuple):
 
     @classmethod
     def of(cls, names: Sequence[str]) -> NodeNames:
-        """Keep only the first few names."""
+        """Shorten a list of node names."""
         return cls(tuple(names[:_MOST_NAMES]), max(0, len(names) - _MOST_NAMES))
 
     def __str__(self) -> str:
@@ -63,7 +63,7 @@ def key(name: str, form: str = '', absent: str = '', default: Any = None) -> Any
 
     If ``name`` contains ``*``, the value has several keys. Each key has a name or number instead
     of ``*``. ``form`` is the format of numbers. ``absent`` is the text for None. Without this
-    text, the key is omitted. ``default`` is the value if the key is not reported.
+    text, a value of None is not reported. ``default`` is the value if the key is not reported.
 
     """
     return field(default=default, metadata={'key': name, 'form': form, 'absent': absent})
@@ -80,7 +80,7 @@ class Part:
 
 @dataclass(frozen=True)
 class LoopStatus(Part):
-    """The control loop; rates and times refer to the time since the last report."""
+    """The status of the control loop; rates and times are those since the last report."""
 
     state: str = key('state', default='')
     """Lifecycle state."""
@@ -88,15 +88,15 @@ class LoopStatus(Part):
     """Rate of the commands [Hz]."""
     requested_rate: float | None = key('requested rate [Hz]', 'g', 'that of the joint states')
     period_p99: float | None = key('period p99 [ms]', '.3f', 'none')
-    """99th percentile of the times between commands [s]."""
+    """99th percentile of the times between commands [s]; reported in ms."""
     period_worst: float | None = key('period worst [ms]', '.3f', 'none')
-    """Longest time between commands [s]."""
+    """Longest time between commands [s]; reported in ms."""
     compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
-    """99th percentile of the computation times [s]."""
+    """99th percentile of the computation times [s]; reported in ms."""
     overruns: int | None = key('overruns')
     """Number of commands since the start that were more than half a period late."""
     mode: Mode | None = key('mode')
-    """Mode of the controller; None unless the node is active, like the values below."""
+    """Mode of the controller; this value and those below are None unless the node is active."""
     phase: Phase | None = key('phase')
     is_dry_run: bool | None = key('dry run')
     gain: float | None = key('gain', '.3f')
@@ -127,7 +127,7 @@ class ClockStatus(Part):
     time: float | None = key('time [s]', '.3f')
     """Simulated time [s]; 0 if none has arrived."""
     unchanged_for: float | None = key('unchanged for [s]', '.1f')
-    """Steady time since the last change of the simulated time [s]."""
+    """Time since the last change of the simulated time, measured by a steady clock [s]."""
     publishers: int | None = key('publishers')
     """Number of publishers of /clock."""
 
@@ -140,7 +140,7 @@ class JointStatesStatus(Part):
     rate: float | None = key('rate [Hz]', '.1f')
     """Rate at which all commanded joints are updated [Hz]."""
     age: float | None = key('age [s]', '.3f', 'never')
-    """Age of the oldest state of a commanded joint [s]."""
+    """Largest age among the latest states of the commanded joints [s]."""
     timeout: float | None = key('timeout [s]', 'g')
     publishers: int | None = key('publishers')
     late: tuple[str, ...] = key('late, not commanded', default=())
@@ -256,7 +256,7 @@ class NodeStatus:
         return self._by_joint(self.efforts.limits) if self.efforts else {}
 
     def unscaled_limits(self) -> dict[str, float]:
-        """Return, by joint, the modelled effort at which the command reaches its limit."""
+        """Return, by joint, the modelled effort that reaches the limit if the offset is zero."""
         scale = self._by_joint(self.efforts.scale) if self.efforts else {}
         return {
             joint: limit / abs(scale[joint])
@@ -303,13 +303,13 @@ class GraphInfo(NamedTuple):
     name: str = ''
     """Fully qualified name of this node."""
     others: OtherNodesStatus = OtherNodesStatus()
-    """Other nodes, not judged yet."""
+    """Other nodes; level and message are not set yet."""
     state_publishers: tuple[str, ...] = ()
     """Nodes that publish joint states; empty unless the positions contradict each other."""
     clock: ClockStatus | None = None
     """None unless the node uses simulated time."""
     silence: float = 0.0
-    """Time since the last report of any joint on joint_states [s]."""
+    """Length of the silence on joint_states [s]; see `StalledPublishers`."""
     state_rate: float = 0.0
     """Rate at which all commanded joints were updated since the last report [Hz]."""
     topics: Topics = Topics()

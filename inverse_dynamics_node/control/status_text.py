@@ -37,7 +37,7 @@ def activity(now: float, loop: ControlLoop) -> str:
 
 
 def _computing(loop: ControlLoop) -> str:
-    """Describe the phase if the loop computes or waits; return '' in other phases."""
+    """Describe a phase that computes efforts or waits for joint states; otherwise return ''."""
     phase, settings = loop.controller.phase, loop.controller.settings
     doing = str(phase.value).partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
@@ -88,7 +88,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe the loss of the measured motion of the base; return '' without a loss."""
+    """Report that IMU messages no longer arrive; return '' if they do or if none ever arrived."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''
@@ -115,7 +115,7 @@ def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> d
     ``publishers`` are the nodes that publish joint states, if known.
 
     """
-    question = 'does more than one node publish this joint?'
+    question = 'does more than one node publish the state of this joint?'
     if publishers:
         question = f'published by {NodeNames.of(publishers)}'
     return {
@@ -126,7 +126,7 @@ def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> d
 
 
 def describe_silence(around: GraphInfo) -> str:
-    """Describe publishers that are connected but send nothing, if there are any."""
+    """Describe connected publishers that send no joint states; return '' if there are none."""
     if not around.publishers or around.silence < _LONG_SILENCE:
         return ''
     publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
@@ -141,8 +141,8 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
     """
     Describe a contradiction between the IMU frame and the robot description, or return ''.
 
-    ``frame`` is the ``frame_id`` of the messages, which need not be a link. ``R_BS`` is the
-    configured rotation from this frame to the base frame, shape (3, 3).
+    ``frame`` is the ``frame_id`` of the IMU messages. The frame need not be that of a link.
+    ``R_BS`` is the configured rotation from this frame to the base frame, shape (3, 3).
 
     """
     robot = loop.robot
@@ -163,7 +163,7 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
 
 
 def describe_late(loop: ControlLoop, now: float) -> list[str]:
-    """Describe the late joints that are not commanded, and suggest remedies."""
+    """Describe uncommanded joints whose states are too old, and suggest remedies."""
     timeout = loop.controller.settings.uncommanded_state_timeout
     return [
         f"joint '{name}' (not commanded) was last reported {age:.1f} s ago and is assumed to be "
@@ -174,7 +174,7 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
 
 
 def describe_light_joints(loop: ControlLoop) -> str:
-    """Describe joints that are too light for their impedance gains, if there are any."""
+    """Describe joints whose inertia is too small for their impedance gains, if there are any."""
     if loop.controller.settings.mode is not Mode.JOINT_IMPEDANCE:
         return ''
     gains = loop.controller.of_joint
@@ -188,7 +188,7 @@ def describe_light_joints(loop: ControlLoop) -> str:
         for k, joint in enumerate(loop.controller.joints)
         if is_light[k]
     ]
-    advice = ['lower these gains, or set armature to the inertia of the rotor']
+    advice = ['lower these gains, or set armature to the reflected inertia of the rotor']
     return '; '.join(texts + advice * bool(texts))
 
 
@@ -242,7 +242,9 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return Level.WARN, f'never reported: {joints}; their locked positions are used'
     is_closed = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
     if is_closed and collector.without_velocity():
-        return Level.WARN, f'no velocities are reported, so {settings.mode.value} has no damping'
+        return Level.WARN, (
+            f'joints reported without velocity have no damping in {settings.mode.value}'
+        )
     return Level.OK, 'fresh'
 
 
@@ -259,12 +261,12 @@ def judge_reference(loop: ControlLoop, around: GraphInfo) -> Judgement:
 def judge_efforts(
     now: float, loop: ControlLoop, around: GraphInfo, clamped: Sequence[str]
 ) -> Judgement:
-    """Report commands without subscribers, and joints whose efforts were cut to their limits."""
+    """Report that the commands have no subscribers, or which efforts were cut to their limits."""
     if around.is_active and not around.receivers and not loop.dry_run.is_active:
         message = 'the commands have no subscribers'
         if around.others.subscribers.first:
             names = around.others.subscribers
-            message += f' that match; type or quality of service differs: {names}'
+            message += f' that match; another type or quality of service is used by {names}'
         return Level.WARN, message
     if clamped:
         return Level.WARN, f'effort cut to its limit: {", ".join(clamped)}'

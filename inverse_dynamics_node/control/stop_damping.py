@@ -38,10 +38,11 @@ class StopDamping:
     gravity, the arm sinks at the speed at which damping balances gravity. The factor r rises from
     0 to 1 over the stop ramp. The damping ends when the arm is at rest, or after a timeout.
 
-    The damping never drives the arm. The power of the damping is never positive. All efforts for
-    one joint state together remove less than the measured velocity. The damping ends at once when
-    joint states are lost. The damping also ends when velocities contradict positions, because a
-    velocity with the wrong sign would drive the joint.
+    The damping never drives the arm. The power of the damping is never positive. The damping
+    efforts computed from one joint state cannot, even together, reverse the measured velocity. The
+    damping ends at once when joint states are lost. The damping also ends when velocities
+    contradict positions, because damping would drive a joint whose reported velocity has the wrong
+    sign.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
@@ -53,7 +54,7 @@ class StopDamping:
         self.is_active = False
         """Whether the motion is damped, now or from the next command on."""
         self.report = ''
-        """Reason why the damping has ended; cleared by the reader."""
+        """Reason why the damping has ended; whoever reads the reason resets it to ''."""
         self._scale = self.limits = np.zeros(len(index))
         self._longest = 0.0  # [s]; longest recent interval between commands
         self._passed = -1.0  # [s] since the first command of the stop; at first negative
@@ -66,8 +67,8 @@ class StopDamping:
         Damp the motion from the next command on, if ``settings.stop_damping`` is positive.
 
         ``scale`` contains the factors that convert efforts into commands, shape (m,). ``limits``
-        contains the largest commands, shape (m,) [N m or N]. Later changes of the arguments do not
-        affect this stop.
+        contains the largest permitted commands, shape (m,) [N m or N]. Later changes of the
+        settings do not affect this stop.
 
         """
         self._scale, self.limits, self._longest = scale, limits, 0.0
@@ -90,8 +91,9 @@ class StopDamping:
         """
         Compute the efforts to add to the stop ramp; None if the motion is not damped.
 
-        ``step`` is the time step of ramps. ``since`` is the time since the last command. All times
-        are in [s]. The result, shape (m,) [N m or N], is scaled but not limited.
+        ``step`` is the time by which ramps advance. ``since`` is the time since the last command.
+        All times are in [s]. The result, shape (m,) [N m or N], is already multiplied by the
+        ``scale`` given to `begin`, but the limits are not applied yet.
 
         """
         if not self.is_active:
@@ -114,7 +116,7 @@ class StopDamping:
         return self._damp(state, factor * self._rate(now - state.time, since))
 
     def _track(self, now: float, state: State | None, is_first: bool) -> str:
-        """Compare positions and velocities; return a problem, or an empty text."""
+        """Compare velocities with changes of position; return a problem, or ''."""
         timeout = self._settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
             return 'the joint states are lost or contradictory'
@@ -146,11 +148,11 @@ class StopDamping:
         """
         Return the rate of decay [1/s].
 
-        ``age`` is the age of the state, and ``since`` is the time since the last command [s]. A
+        ``age`` is the age of the state [s]. ``since`` is the time since the last command [s]. A
         command acts until the next command, but is based on an older velocity. The rate falls with
-        the square of the age, so that all commands for one state together remove less than the
-        measured velocity. The longest recent interval determines the rate, because commands may be
-        sent in bursts.
+        the square of the age, so that the commands computed from one state cannot, even together,
+        reverse the measured velocity. The rate is computed for the longest recent interval between
+        commands, because commands may be sent in bursts.
 
         """
         self._longest = since = max(since, 0.98 * self._longest)

@@ -29,7 +29,7 @@ class Phase(enum.Enum):
 
 
 TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
-"""Phases in which the reference is too far away from the joints."""
+"""Phases in which the reference is too far away from the joint positions."""
 COMPUTING_PHASES = (Phase.RUNNING, Phase.FLOATING, Phase.HOLDING, *TOO_FAR_PHASES)
 """Phases in which efforts are computed from a fresh state."""
 
@@ -57,7 +57,7 @@ class DryRun:
 
     @property
     def is_active(self) -> bool:
-        """Whether a dry run is active, so that the computed efforts are not sent."""
+        """Whether a dry run is active, in which the computed efforts are not sent."""
         return self._sent is not _Sent.COMPUTED
 
     @property
@@ -67,7 +67,7 @@ class DryRun:
 
     @property
     def has_sent(self) -> bool:
-        """Whether efforts are being sent, so that the robot may depend on this node."""
+        """Whether this node sends commands, on which the robot may depend."""
         return self._last is not None
 
     def end(self) -> None:
@@ -91,7 +91,7 @@ class DryRun:
         """
         Return the efforts to send, shape (m,) [N m or N]; None if nothing is sent.
 
-        ``elapsed`` is the time step of ramps [s]; see `RampClock`.
+        ``elapsed`` is the time by which ramps advance [s]; see `RampClock`.
 
         """
         if self._sent is _Sent.COMPUTED:
@@ -110,9 +110,10 @@ class StateSupervisor:
     Decides whether efforts may be computed.
 
     No efforts are computed before the first complete joint state, while joint states are lost, or
-    while the controller is stopped. Joint states are lost while the latest state is too old or
-    inconsistent, and for a recovery time afterwards. Without the recovery time, intermittent
-    states would shake the arm.
+    while the controller is stopped. Joint states are considered lost while the latest state is too
+    old or inconsistent, and for a recovery time afterwards. Without the recovery time,
+    intermittent states would shake the arm. A loss that ends before the efforts have fallen
+    noticeably needs no recovery time.
 
     """
 

@@ -1,1 +1,1 @@
-"""Joint efforts by the recursion of Luh, Walker and Paul."""
+"""Computes joint efforts with the recursion of Luh, Walker and Paul."""

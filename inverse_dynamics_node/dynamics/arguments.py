@@ -14,7 +14,7 @@ from .batch import LANES
 from .jit import IS_COMPILED, OK
 
 Computation = Callable[[Sequence[Floats], Floats], int]
-"""Function of the arguments and an array for the results; returns a status."""
+"""Takes the input arrays and the array for the results; returns a status code."""
 
 
 def over_states(
@@ -30,7 +30,7 @@ def over_states(
 
     The ``arguments``, such as ``q``, may have any type that numpy can convert. ``kind`` is the
     shape of the result for one state. ``few`` computes the quantity for N states of n joints, from
-    arguments of shape (N, n). ``many`` does the same, and is called if N is at least
+    arguments of shape (N, n). ``many`` does the same, and replaces ``few`` if N is at least
     `batch.LANES`. If ``out`` is given, the result is written to ``out``. Wrong shapes and
     non-finite values raise a JointStateError.
 
@@ -52,7 +52,7 @@ def over_states(
 
 
 def one_by_one(one: Computation) -> Computation:
-    """Return a computation of several states that calls ``one`` for each state."""
+    """Return a computation that calls ``one`` for each of several states."""
 
     def few(rows: Sequence[Floats], results: Floats) -> int:
         states = zip(zip(*rows, strict=True), results, strict=True)
@@ -98,7 +98,7 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateError:
-    """Return an error about the first non-finite value; a wrong shape raises an error."""
+    """Return an error that explains a non-finite result; raise an error if a shape is wrong."""
     n = len(joint_names)
     for name, values in arguments.items():
         vectors = read_vectors(name, values, n)
@@ -128,7 +128,7 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one or n numbers to shape (n,); negative numbers require ``is_signed``."""
+    """Convert one or n numbers to an array of shape (n,); refuse negative numbers by default."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
@@ -167,7 +167,7 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
             f'mass is {plain(mass)!r}, expected a finite number of at least 0 [kg]'
         )
     if moments.shape != (3, 3) or not np.isfinite(moments).all():
-        raise ConfigurationError(f'inertia is {plain(inertia)!r}, expected 3 by 3 finite numbers')
+        raise ConfigurationError(f'inertia is {plain(inertia)!r}, expected a finite 3 by 3 matrix')
     # The tolerances are fractions of the largest element, because rotations cause rounding errors.
     largest = np.abs(moments).max()
     if np.abs(moments - moments.T).max() > 1e-6 * largest:

@@ -76,7 +76,7 @@ def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, rob
     Compute the regressors of N >= `LANES` states; return `OK` or `NOT_FINITE`.
 
     ``matrices``, shape (N, n, 10 (b - 1)), receives the regressors for n joints and b bodies.
-    ``R_LZ``, shape (b, 9), contains the rotations from the frames of the table to the URDF frames.
+    ``R_LZ``, shape (b, 9), contains a rotation for every body, as in `regressor.regressor`.
 
     """
     return _compute(states, np.empty((len(matrices), 0)), matrices, R_LZ, robot)
@@ -99,7 +99,7 @@ def _compute(
 
 
 def _count_pairs(robot: Floats) -> int:
-    """Return the number of pairs of a link and a joint that moves the link."""
+    """Return the number of (link, joint) pairs in which the joint moves the link."""
     depth = [0]
     for parent in robot[1:, PARENT].astype(int).tolist():
         depth.append(depth[parent] + 1)
@@ -117,7 +117,7 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute efforts or regressors block by block; the columns of the arguments are states."""
+    """Compute efforts or regressors block by block; each column of ``all_q`` is a state."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)
@@ -277,7 +277,7 @@ def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
 
 @simd_step
 def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
-    """Add armature and friction to the joint efforts, and check that the efforts are finite."""
+    """Add the armature and friction efforts, and check that the joint efforts are finite."""
     for joint in range(len(tau)):
         armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
         if robot[joint + 1, COUPLING] != 0.0:
@@ -294,7 +294,7 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
 
 @simd_step
 def share_drive(qd: Any, qdd: Any, tau: Any, robot: Any, joint: int, residue: Any) -> None:
-    """Add the armature and friction of a coupled drive to the efforts of two joints."""
+    """Add armature and friction efforts of a coupled drive to its joint and the previous joint."""
     armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
     ratio, before = coupling_of(robot[joint + 1])
     for k in range(LANES):
@@ -319,7 +319,7 @@ def regressor_pass(
     factors: Any,
     residue: Any,
 ) -> None:
-    """Compute a regressor block for every pair of a link and a joint that moves the link."""
+    """Compute a regressor block for every (link, joint) pair in which the joint moves the link."""
     hold_base_frame(frames)
     pair = 0
     for i in range(1, len(robot)):
@@ -354,7 +354,7 @@ def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames
 
 @simd_step
 def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
-    """Rotate the axes and the motion of a link into the URDF frame of the link."""
+    """Express the axes and the motion of a link in the link's URDF frame."""
     R = rotation(R_LZ[i])
     for k in range(LANES):
         axes, own_motion = vectors(frames, i, 0, k), vectors(motion, i, 0, k)
@@ -374,7 +374,7 @@ def compute_block(
     pair: int,
     residue: Any,
 ) -> None:
-    """Compute the regressor block of link i and the joint of body ``mover``."""
+    """Compute the regressor block of link i for the joint of body ``mover``."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
         arm = subtract(lane(frames, i, 9, k), lane(frames, mover, 9, k))
@@ -448,8 +448,8 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     Return cosine and sine; the error is at most 2 units in the last place.
 
     The function has no branches, so that the compiler can vectorise loops over the lanes. The
-    nearest number of quarter turns is subtracted first. The rest is at most pi/4 in size, where
-    the minimax polynomials have an error of 4e-18 before rounding.
+    nearest multiple of a quarter turn is subtracted first. The magnitude of the remainder
+    is at most pi/4. In this range, the minimax polynomials have an error of 4e-18 before rounding.
 
     """
     quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER

@@ -46,7 +46,7 @@ class EffortTerms(NamedTuple):
     gravity: Floats
     """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
-    """Efforts due to all kinds of friction, including load and square-root friction."""
+    """Efforts due to all kinds of friction, including load-dependent and square-root friction."""
     external: Floats
     """Efforts that balance the external wrenches."""
 
@@ -67,10 +67,10 @@ def effort_terms(
     """
     Compute the five terms of the efforts of n joints, in the order of `EffortTerms`.
 
-    The arguments ``inertial`` to ``external`` are the tables of `term_tables`. ``state`` is
+    The arguments ``inertial`` to ``external`` are the tables from `term_tables`. ``state`` is
     scratch memory with 4 rows of n numbers. The last row of ``state`` must be zero. ``terms``
     receives 5 rows of n numbers, and may share memory with q, qd and qdd. The other arguments and
-    the status are as in `newton_euler.inverse_dynamics`.
+    the returned status are as in `newton_euler.inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -214,7 +214,7 @@ def joint_wrenches(
 
     ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench that the
     mount exerts on the base. ``R_LZ`` is as in `regressor.regressor`. ``tau`` receives the efforts
-    without armature, friction and springs. The other arguments and the status are as in
+    without armature, friction and springs. The other arguments and the returned status are as in
     `newton_euler.inverse_dynamics`.
 
     """

@@ -23,18 +23,18 @@ The outward pass, from base to tips, evaluates (36), (37), (40), (44), (41) and 
 order. The inward pass evaluates (45), (46) and (47).
 
 Three equations of the paper are not needed. Equations (38) and (43) are the angular acceleration
-and the effort in base coordinates. Equations (37) and (47) are the same in link coordinates.
+and the effort in base coordinates. Equations (37) and (47) give both in link coordinates.
 Equation (39) is the linear velocity, on which no force depends.
 
-Gravity is not a separate term, because the base has the acceleration -g (31).
+Gravity is not a separate term, because equation (31) gives the base the acceleration -g.
 
-The frames are those of a URDF. In the Denavit-Hartenberg frames of the paper, joint i + 1 moves
-about or along z of frame i. Here joint i moves about or along z of the frame of link i. The offset
-p from the parent's origin is therefore constant in the parent's frame, except that a translational
-joint adds a distance along the axis. Moments are about the origin of the link. Terms with z are
-added after the rotation into the link's frame.
+The frames are those of a URDF, rotated so that z is the joint axis. In the Denavit-Hartenberg
+frames of the paper, joint i + 1 moves about or along z of frame i. Here joint i moves about or
+along z of the frame of link i. The offset p from the parent's origin is therefore constant in the
+parent's frame, except that a translational joint adds a distance along the axis. Moments are about
+the origin of the link. Terms with z are added after the rotation into the link's frame.
 
-Every joint has a rate ``turn`` about z and a rate ``slide`` along z, and one rate is zero. The
+Every joint has a rate ``turn`` about z and a rate ``slide`` along z. One of the two is zero. The
 paper's separate cases for rotational and translational joints are therefore one expression.
 
 `recursion` evaluates the equations link by link, as in the paper. Tests compare the passes of
@@ -59,13 +59,13 @@ Vector = tuple[Any, Any, Any]
 
 @simd_inline
 def angular_velocity(omega_P: Vector, turn: Any) -> Vector:
-    """(36): angular velocity R_LP omega_P + z turn; the caller applies R_LP."""
+    """(36): angular velocity R_LP omega_P + z turn; the caller has applied R_LP."""
     return omega_P[0], omega_P[1], omega_P[2] + turn
 
 
 @simd_inline
 def angular_acceleration(omega_P: Vector, omega_dot_P: Vector, turn: Any, turn_dot: Any) -> Vector:
-    """(37): angular acceleration R_LP omega_dot_P + z turn_dot + R_LP omega_P x z turn."""
+    """(37): R_LP omega_dot_P + z turn_dot + R_LP omega_P x z turn; the caller has applied R_LP."""
     x, y, z = omega_dot_P
     return x + omega_P[1] * turn, y - omega_P[0] * turn, z + turn_dot
 
@@ -73,10 +73,10 @@ def angular_acceleration(omega_P: Vector, omega_dot_P: Vector, turn: Any, turn_d
 @simd_inline
 def point_acceleration(p: Vector, omega: Vector, omega_dot: Vector, accel: Vector) -> Vector:
     """
-    (40), (44): acceleration accel + omega_dot x p + omega x (omega x p) of a point p of a body.
+    (40), (44): acceleration of a point p of a body, accel + omega_dot x p + omega x (omega x p).
 
     The origin of the body has the acceleration accel. In (44), p is the centre of mass. In (40), p
-    is the origin of the next link, and `sliding_acceleration` adds the terms of the joint.
+    is the origin of the next link, and `sliding_acceleration` adds the terms due to sliding.
 
     """
     return add(accel, add(cross(omega_dot, p), cross(omega, cross(omega, p))))
@@ -106,7 +106,7 @@ def net_moment(J: Any, omega: Vector, omega_dot: Vector) -> Vector:
 
 @simd_inline
 def child_force(R: Any, c: Any, s: Any, force: Vector) -> Vector:
-    """(45): force of a child in the parent's frame, R_PL force."""
+    """(45): force on a child, in the parent's frame: R_PL force."""
     return to_parent(R, c, s, force)
 
 
@@ -118,7 +118,7 @@ def own_moment(com: Vector, force_net: Vector, moment_net: Vector) -> Vector:
 
 @simd_inline
 def child_moment(R: Any, c: Any, s: Any, p: Vector, force: Vector, moment: Vector) -> Vector:
-    """(46): moment of a child in the parent's frame, R_PL moment + p x force; force is (45)."""
+    """(46): moment on a child about the parent's origin: R_PL moment + p x force from (45)."""
     return add(to_parent(R, c, s, moment), cross(p, force))
 
 
@@ -139,7 +139,7 @@ def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
 
 @simd_inline
 def origin_in_parent(R: Any, p: Vector, length: Any) -> Vector:
-    """Return p_PL of a link that has slid by ``length`` along its axis, the third column of R."""
+    """Return a link's origin in the parent's frame after sliding by ``length`` along z."""
     return add(p, (R[2] * length, R[5] * length, R[8] * length))
 
 
@@ -200,7 +200,7 @@ def symmetric(J: Any, v: Vector) -> Vector:
 
 
 class Link(NamedTuple):
-    """A link in link coordinates; z is the axis of the joint."""
+    """Geometry and inertia of a link; z is the axis of the link's joint."""
 
     R: Any  # R_PL at joint position 0, row by row
     p: Vector  # p_PL at joint position 0 [m]
@@ -218,7 +218,7 @@ def recursion(
     qdd: Sequence[float],
     gravity: Vector,
 ) -> list[float]:
-    """Return the joint efforts of a tree on a base at rest: LWP (36)-(47)."""
+    """Return the joint efforts of a tree of links on a base at rest: LWP (36)-(47)."""
     at_rest = 0.0, 0.0, 0.0
     n = len(links)
     # The base has the index -1, the last element.

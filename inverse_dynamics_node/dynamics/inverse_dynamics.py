@@ -127,7 +127,7 @@ class InverseDynamics:
 
     @property
     def has_drive_terms(self) -> bool:
-        """Whether a joint has friction or armature."""
+        """Whether any joint has friction or armature."""
         return bool(self._table[0, robot_table.HAS_DRIVE_TERMS])
 
     def efforts(
@@ -140,15 +140,15 @@ class InverseDynamics:
         ----------
         q, qd, qdd : array_like, shape (..., n)
             Positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2]
-            of the n joints, in the order of ``robot.joint_names``. Leading dimensions
-            form a batch, and are broadcast against each other.
+            of the n joints, in the order of ``robot.joint_names``. Leading dimensions form a
+            batch, and are broadcast against each other.
         out : ndarray, shape (..., n), optional
             Array for the result, C-contiguous float64.
 
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N], positive along the joint axis. A given ``out`` is returned.
+            Joint efforts [N m or N], positive along the joint axis; ``out`` itself if given.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class InverseDynamics:
         Notes
         -----
         The outward pass is LWP (36)-(44), and the inward pass is LWP (45)-(47). No memory is
-        allocated if the arguments and ``out`` are float64 arrays.
+        allocated for a single state if the arguments and ``out`` are contiguous float64 arrays.
 
         Batches of at least 64 states are computed in blocks. The results may differ from those of
         single states by rounding errors of less than 1e-12 of the largest effort. The first large
@@ -254,7 +254,7 @@ class InverseDynamics:
         Returns
         -------
         mass_matrix : ndarray, shape (..., n, n)
-            Mass matrix, including payloads and armature [kg m^2, kg m or kg]. The matrix is
+            Mass matrix [kg m^2, kg m or kg], including payloads and armature. The matrix is
             exactly symmetric.
 
         Raises
@@ -392,9 +392,9 @@ class InverseDynamics:
         Returns
         -------
         pose : ndarray, shape (..., 4, 4)
-            Homogeneous matrix from the link's frame to the frame of the root link. The rotation
-            is ``pose[..., :3, :3]``. The position of the link's origin is ``pose[..., :3, 3]``
-            [m].
+            Homogeneous matrix from the link's frame to the base frame, which is the frame of the
+            root link. The rotation is ``pose[..., :3, :3]``. The position of the link's origin is
+            ``pose[..., :3, 3]`` [m].
 
         Raises
         ------
@@ -440,10 +440,10 @@ class InverseDynamics:
 
         Notes
         -----
-        The transpose of J maps a wrench on the world to joint efforts that the robot needs in
-        addition to `efforts`. The wrench consists of a force, and a moment about the link's
-        origin, in base coordinates. The wrench of `set_external_wrench` has the opposite sign,
-        because the world exerts that wrench on the link. That wrench is in link coordinates.
+        The transpose of J maps a wrench that the link exerts on the world to the joint efforts
+        that the robot needs in addition to `efforts`. The wrench consists of a force, and a moment
+        about the link's origin, in base coordinates. `set_external_wrench` expects the opposite
+        wrench, which the world exerts on the link, in link coordinates.
 
         J does not include the motion of the base. A mimic joint contributes to the column of its
         master joint.
@@ -486,8 +486,8 @@ class InverseDynamics:
         -----
         Links connected by fixed joints are one body. A body on a mimic joint has its own columns,
         and contributes to the row of the master joint. Y includes gravity and the motion of the
-        base. Y excludes armature, friction, springs and external wrenches, because the efforts of
-        these loads do not depend on pi. Payloads change pi, but not Y.
+        base. Y excludes armature, friction, springs and external wrenches, because their efforts
+        are not proportional to pi. Payloads change pi, but not Y.
 
         The first call on a machine takes longer, because code is compiled and cached on disk.
 
@@ -618,7 +618,7 @@ class InverseDynamics:
         moment: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         """
-        Set the wrench that the world exerts on a link, replacing any previous wrench.
+        Set the wrench that the world exerts on a link, replacing the link's previous wrench.
 
         Parameters
         ----------
@@ -653,7 +653,8 @@ class InverseDynamics:
         r"""
         Set friction: :math:`d\,v + (c + \eta\,|\tau_{load}| + s \sqrt{|v|}) \tanh(v / w)`.
 
-        Here v is the velocity of the joint, or of the drive after `set_drive_coupling`.
+        Here v is the velocity of the drive. Without `set_drive_coupling`, v is the velocity of the
+        joint.
 
         Parameters
         ----------
@@ -666,8 +667,8 @@ class InverseDynamics:
         load_friction : array_like, shape (n,) or ()
             Coulomb friction eta per unit of load on the gear [-].
         sqrt_damping : array_like, shape (n,) or ()
-            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]. Much grease
-            in a gear causes such friction at low speeds.
+            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5].
+            Heavily greased gears have such friction at low speeds.
 
         Raises
         ------
@@ -721,10 +722,11 @@ class InverseDynamics:
 
     def set_drive_coupling(self, coupling: ArrayLike) -> None:
         r"""
-        Set how far each drive turns with the previous joint.
+        Set the coupling of each drive to the previous joint.
 
         Gear trains that pass through a wrist joint cause such a coupling. The velocity of the
-        drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. The effort due to friction
+        drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. Here k - 1 is the
+        previous joint, which moves the parent of the body on joint k. The effort due to friction
         and armature of the drive acts on joint k. The previous joint receives :math:`g_k` times
         the same effort.
 
@@ -744,7 +746,7 @@ class InverseDynamics:
         self.revision += 1
 
     def checked_coupling(self, coupling: ArrayLike) -> Floats:
-        """Convert couplings to shape (n,), with the checks of `set_drive_coupling`."""
+        """Check couplings as in `set_drive_coupling`; return an array of shape (n,)."""
         values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
         for k in np.flatnonzero(values):
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
@@ -848,7 +850,7 @@ class InverseDynamics:
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
 
     def _term_tables(self) -> list[Floats]:
-        """Return tables for `effort_terms` that contain the present loads."""
+        """Return the tables for `effort_terms`, rebuilt if the loads have changed."""
         revision, tables = self._terms
         if revision != self.revision:
             tables = effort_terms.term_tables(self._table)

@@ -1,4 +1,4 @@
-"""Optional compilation with numba; a failing cache causes a warning instead of an error."""
+"""Optional compilation with numba; a cache that fails causes a warning, but no error."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _has_warned = False
 
 
 def compiled(function: Function, **options: Any) -> Function:
-    """Prepare a function for `compile_for`, and for the cache on disk."""
+    """Prepare a function for `compile_for`, which then caches the compiled code on disk."""
     if not IS_COMPILED:
         return function
     try:
@@ -56,12 +56,12 @@ def compiled(function: Function, **options: Any) -> Function:
 
 
 def simd_kernel(function: Function) -> Function:
-    """Prepare a function of `batch` for `compile_for`, without the global interpreter lock."""
+    """Prepare a function for `compile_for`; compiled code releases the interpreter lock."""
     return compiled(function, fastmath=FAST_MATH, nogil=True)
 
 
 def simd_step(function: Function, **options: bool) -> Function:
-    """Prepare a function that loops over lanes, for calls from a `simd_kernel`."""
+    """Prepare a function that loops over SIMD lanes and is called from a `simd_kernel`."""
     if not IS_COMPILED:
         return function
     prepare = numba.njit(error_model='numpy', fastmath=FAST_MATH, **options)
@@ -74,7 +74,7 @@ def simd_inline(function: Function) -> Function:
 
 
 def compile_for(function: Any, *signatures: str) -> None:
-    """Compile a function for given types; calls with other types raise a TypeError."""
+    """Compile a function for the given signatures; calls with other types raise a TypeError."""
     if not IS_COMPILED or function in _ready:
         return
     with _compiling:
@@ -99,9 +99,10 @@ def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., in
     Compile a function for contiguous float64 arrays.
 
     Without numba, the function runs on lists of floats. The second-to-last argument of the
-    function receives the results, and the last argument is a table of `robot_table`. The function
-    returns a status. ``dimensions`` contains the number of dimensions of each argument. Arguments
-    of other types raise a TypeError.
+    function receives the results, and the last argument is a table in the layout of
+    `robot_table`. The function returns a status code such as `OK`. ``dimensions`` contains the
+    number of dimensions of each argument. Arguments of other types or dimensions raise a
+    TypeError.
 
     """
     if IS_COMPILED:
@@ -135,7 +136,7 @@ def _stamp(folder: Path) -> tuple[tuple[str, float, int], ...]:
 
 
 def _warn(error: Exception) -> None:
-    """Warn that compiled code is not cached, at most once per process."""
+    """Warn, at most once per process, that compiled code is not cached."""
     global _has_warned
     if not _has_warned:
         _has_warned = True

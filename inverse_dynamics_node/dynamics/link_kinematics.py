@@ -57,11 +57,12 @@ def row_of_link(robot: RobotModel, R_ZL: Floats, link: str) -> Floats:
 @compiled
 def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
-    Compute the homogeneous matrix from a link's frame to the base frame.
+    Compute the homogeneous transformation matrix from a link's frame to the base frame.
 
-    ``q`` contains the positions of n joints [rad or m]. ``link`` is a row of `row_of_link`.
-    ``matrix`` receives 4 rows of 4 numbers. ``robot`` is a table of `robot_table`. The status is
-    `OK`, `NOT_FINITE` or `WRONG_SIZE`. After `WRONG_SIZE`, the matrix is unchanged.
+    ``q`` contains the positions of n joints [rad or m]. ``link`` is a row from `row_of_link`.
+    ``matrix`` receives 4 rows of 4 numbers. ``robot`` is a table in the layout of `robot_table`.
+    The returned status is `OK`, `NOT_FINITE` or `WRONG_SIZE`. After `WRONG_SIZE`, the matrix is
+    unchanged.
 
     """
     if len(q) != int(robot[0][JOINT_COUNT]) or len(matrix) != 4 or len(matrix[0]) != 4:
@@ -113,7 +114,7 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 
 @simd_inline
 def place_bodies(q: Sequence[float], link: Any, robot: Any) -> Vector:
-    """Store the poses of all bodies up to the body of a link; return the origin of the link."""
+    """Store the poses of all bodies up to number ``link[BODY]``; return the origin of the link."""
     body = int(link[BODY])
     hold_base_axes(robot[0])
     for i in range(1, body + 1):  # parents have smaller indices
@@ -143,7 +144,7 @@ def hold_base_axes(base: Any) -> None:
 
 @simd_inline
 def place_in_base(link: Any, parent: Any) -> None:
-    """Store the axes and the origin of a link in base coordinates, after `place_link`."""
+    """Store the axes and the origin of a link in base coordinates; call `place_link` first."""
     R, axes_P = rotation(link), axes(parent)
     p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
     x, y, z = axes_in_base(axes_P, R, link[COSINE], link[SINE])
@@ -161,7 +162,7 @@ def axes(row: Any) -> Axes:
 
 @simd_inline
 def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
-    """Return the axes of a link from the axes of its parent; R, c and s are as in `equations`."""
+    """Compute the axes of a link from its parent's axes; R, c and s are as in `equations`."""
     x = c * R[0] + s * R[1], c * R[3] + s * R[4], c * R[6] + s * R[7]
     y = c * R[1] - s * R[0], c * R[4] - s * R[3], c * R[7] - s * R[6]
     z = R[2], R[5], R[8]

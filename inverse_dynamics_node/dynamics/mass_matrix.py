@@ -3,7 +3,7 @@ The mass matrix of one state, computed by the composite-rigid-body algorithm.
 
 The composite body of a link is the link and all links that the link carries, as one rigid body. A
 unit acceleration of the link's joint requires a wrench on the composite body. The entries of the
-mass matrix are the projections of the wrench onto the axes of the joints from the link to the
+mass matrix are the projections of this wrench onto the axes of the joints from the link to the
 base.
 
 All vectors are in base coordinates, so that no rotations are necessary from link to link. Moments
@@ -45,7 +45,7 @@ from .robot_table import (
 )
 
 Composite = tuple[Any, Vector, Any]
-"""Mass, mass times centre of mass, and inertia about the frame's origin, of a composite body."""
+"""A composite body: mass, mass times centre of mass, and inertia about the frame's origin."""
 
 
 @compiled
@@ -54,8 +54,9 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     Compute the mass matrix of one state.
 
     ``q`` contains the positions of n joints [rad or m]. ``matrix`` receives n rows of n numbers.
-    ``robot`` is a table of `robot_table`. The status is `OK`, `NOT_FINITE` or `WRONG_SIZE`. After
-    `WRONG_SIZE`, the matrix is unchanged. The matrix is exactly symmetric.
+    ``robot`` is a table in the layout of `robot_table`. The returned status is `OK`, `NOT_FINITE`
+    or `WRONG_SIZE`. After `WRONG_SIZE`, the matrix is unchanged. Otherwise, the matrix is exactly
+    symmetric.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -149,7 +150,7 @@ def about_origin(J: Any, com: Vector, first: Vector) -> Any:
 
 @simd_inline
 def in_base_axes(axes: Axes, body: Composite) -> Composite:
-    """Rotate a composite body from the axes of the link to the axes of the base."""
+    """Convert a composite body from the axes of the link to the axes of the base."""
     mass, first, J = body
     x, y, z = axes
     # Rows of the rotation matrix, and products of J with the rows
@@ -179,7 +180,7 @@ def shifted(p: Vector, body: Composite) -> Composite:
 
 @simd_inline
 def combined(a: Composite, b: Composite) -> Composite:
-    """Combine two composite bodies with the same frame."""
+    """Combine two composite bodies that refer to the same frame."""
     J, K = a[2], b[2]
     inertia = J[0] + K[0], J[1] + K[1], J[2] + K[2], J[3] + K[3], J[4] + K[4], J[5] + K[5]
     return a[0] + b[0], add(a[1], b[1]), inertia
@@ -187,7 +188,7 @@ def combined(a: Composite, b: Composite) -> Composite:
 
 @simd_inline
 def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vector]:
-    """Return the force and moment for a unit acceleration of the joint from rest."""
+    """Return the force and moment that a unit acceleration of the joint requires at rest."""
     mass, h, J = body
     if slides != 0.0:
         force = mass * axis[0], mass * axis[1], mass * axis[2]
@@ -197,13 +198,13 @@ def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vec
 
 @simd_inline
 def along(axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """(47) for any axis: effort due to a force, and a moment about the joint's origin."""
+    """Return the effort of a joint due to a wrench about the joint's origin."""
     return dot(axis, force) if slides != 0.0 else dot(axis, moment)
 
 
 @simd_inline
 def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """Return the effort due to a wrench; ``arm`` points from the joint to the reference point."""
+    """Return the effort due to a wrench; ``arm`` points from the joint to the wrench's origin."""
     if slides != 0.0:
         return dot(axis, force)
     return dot(axis, add(moment, cross(arm, force)))
@@ -211,7 +212,7 @@ def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vec
 
 @simd_inline
 def composite(row: Any) -> Composite:
-    """Read the composite body in a row of the table."""
+    """Read a composite body from a row of the table."""
     k = COMPOSITE
     inertia = row[k + 4], row[k + 5], row[k + 6], row[k + 7], row[k + 8], row[k + 9]
     return row[k], vector(row, k + 1), inertia

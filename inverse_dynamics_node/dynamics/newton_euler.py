@@ -2,7 +2,8 @@
 The two passes of Luh, Walker and Paul for one state.
 
 The functions are compiled if numba is installed. Otherwise, the functions run as Python code. The
-robot is a table of `robot_table`: an array for numba, and a list of lists for Python.
+robot is a table in the layout of `robot_table`: an array for numba, and a list of lists for
+Python.
 """
 
 from __future__ import annotations
@@ -76,11 +77,12 @@ def inverse_dynamics(
     robot: Any,
 ) -> int:
     """
-    Compute the joint efforts that produce the joint accelerations, LWP (36)-(47).
+    Compute the joint efforts that produce the joint accelerations.
 
-    ``q``, ``qd`` and ``qdd`` contain the positions [rad or m], velocities and accelerations of n
-    joints. ``tau`` receives the n efforts [N m or N]. ``robot`` is a table of `robot_table`. The
-    status is `OK`, `NOT_FINITE` or `WRONG_SIZE`. After `WRONG_SIZE`, tau is unchanged.
+    The equations are (36)-(47) of Luh, Walker and Paul. ``q``, ``qd`` and ``qdd`` contain the
+    positions [rad or m], velocities and accelerations of n joints. ``tau`` receives the n efforts
+    [N m or N]. ``robot`` is a table in the layout of `robot_table`. The returned status is `OK`,
+    `NOT_FINITE` or `WRONG_SIZE`. After `WRONG_SIZE`, tau is unchanged.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -129,8 +131,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
     Compute the joint efforts that hold the robot still on a base that does not rotate.
 
-    The efforts equal `inverse_dynamics` at zero velocities and accelerations, where every link has
-    the acceleration of the base. Arguments and status are as in `inverse_dynamics`.
+    The efforts equal those of `inverse_dynamics` at zero joint velocities and accelerations. Every
+    link then has the acceleration of the base. Arguments and status are as in `inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -229,11 +231,12 @@ def spring_effort(row: Any, position: Any) -> Any:
 @compiled
 def drive_terms(tau: Any, robot: Any) -> None:
     """
-    Add the armature and friction of each drive to the efforts of the inward pass.
+    Add the armature and friction efforts of each drive to the efforts of the inward pass.
 
-    Friction is an internal pair of moments at one joint, and does not propagate to the base. The
-    authors published the same form in 1980: tau = n . z + b qd. With LWP (22) and (23), friction
-    would propagate. The drive of a joint with coupling also acts on the previous joint.
+    Friction is an internal pair of moments at one joint, and does not propagate to the base. In
+    1980, Luh, Walker and Paul added friction in the same way: tau = n . z + b qd. With equations
+    (22) and (23) of their 1979 paper, friction would propagate. A coupled drive also acts on the
+    previous joint.
 
     """
     for joint in range(len(tau)):
@@ -255,9 +258,9 @@ def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     """
     Return the friction effort of a drive; ``numbers`` are from `friction_of`.
 
-    Coulomb friction may grow with ``load``. The load is the effort (47) that links, payloads,
-    external wrenches and springs require. The load excludes armature and friction, because these
-    efforts act on the motor's side of the gear.
+    Coulomb friction may grow with ``load``. The load is the effort that links, payloads,
+    external wrenches and springs require. The load excludes armature and friction efforts,
+    because these act on the motor's side of the gear.
 
     """
     damping, coulomb, load_friction, sqrt_damping, inverse_width = numbers

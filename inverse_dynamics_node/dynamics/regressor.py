@@ -1,5 +1,5 @@
 """
-The regressor of one state: efforts as a linear function of the inertial parameters.
+The regressor of one state: the matrix that maps the inertial parameters to the efforts.
 
 The inertial parameters of a body are the mass, the first moment (mass times centre of mass), and
 the inertia about the origin of the body's frame. The net force and moment on a body are linear in
@@ -52,7 +52,7 @@ def regressor(
     robot: Any,
 ) -> int:
     """
-    Compute the regressor of one state, for n joints and b bodies.
+    Compute the regressor of one state, for n joints and b bodies including the base.
 
     ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` has a row of 9 numbers for each
     body: the rotation from the body's frame in the table to the body's URDF frame. The other
@@ -103,7 +103,7 @@ def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vecto
     """
     Return the angular velocity of a body, and the velocity of the body's origin.
 
-    The velocities belong to unit rate of a joint, and are in the frame of the body. ``axes_L`` are
+    The velocities are those at unit rate of a joint, in the frame of the body. ``axes_L`` are
     the axes of the frame, ``z`` is the axis of the joint, and ``arm`` points from the joint's
     origin to the body's origin. The arguments are in base coordinates. ``slides`` is 1.0 for a
     prismatic joint and 0.0 for a revolute joint.
@@ -125,7 +125,7 @@ def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -
     """
     Return the ten factors that multiply a body's parameters in the effort of a joint.
 
-    ``twist`` contains w and v, the velocities of `unit_twist`. The first moment is h, and the
+    ``twist`` contains w and v, the velocities from `unit_twist`. The first moment is h, and the
     inertia about the origin is I. The net force is m accel + omega_dot x h + omega x (omega x h).
     The net moment about the origin is I omega_dot + omega x (I omega) + h x accel. The effort
     w . moment + v . force is linear in m, h and I.
@@ -153,7 +153,7 @@ def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -
 
 @simd_inline
 def add_block(row: Any, first: int, multiplier: float, factors: Any) -> float:
-    """Add ten factors to a row; return 0 if the sums are finite, otherwise NaN."""
+    """Add ``multiplier * factors`` to a row; return 0 if the sums are finite, otherwise NaN."""
     residue = 0.0
     for k in range(PARAMETERS):
         entry = row[first + k] + multiplier * factors[k]

@@ -3,8 +3,8 @@ The robot as a table with named columns and one row for each body.
 
 The first row belongs to the base. A row contains the properties of the body, the loads on the
 body, and scratch memory for the passes. The frame of every body is rotated so that z is the axis
-of the joint. A vector occupies three columns. The name of a vector is the number of the first
-column.
+of the body's joint. A vector occupies three columns. The constant named after the vector is the
+index of the first column.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def store(row: Any, first: int, v: Any) -> None:
 
 @simd_inline
 def rotation(row: Any) -> Any:
-    """Read R_PL at joint position 0, row by row."""
+    """Read the matrix R_PL at joint position 0, in row-major order."""
     k = ROTATION
     return (
         row[k], row[k + 1], row[k + 2],
@@ -107,7 +107,7 @@ def inertia(row: Any) -> Any:
 
 @simd_inline
 def joint_of(row: Any) -> Any:
-    """Read the indices of parent and joint, the multiplier, and whether the body slides."""
+    """Read the indices of parent and joint, the mimic multiplier, and whether the body slides."""
     return int(row[PARENT]), int(row[JOINT]), row[MULTIPLIER], row[SLIDES]
 
 
@@ -131,7 +131,7 @@ def load_of(row: Any) -> Any:
 
 @simd_inline
 def friction_of(row: Any) -> Any:
-    """Read viscous, Coulomb, load and square-root friction, and the inverse width."""
+    """Read viscous, Coulomb, load and square-root friction, and the inverse smoothing width."""
     per_load, per_root = row[LOAD_FRICTION], row[SQRT_DAMPING]
     return row[DAMPING], row[COULOMB], per_load, per_root, row[INVERSE_WIDTH]
 
@@ -165,7 +165,7 @@ _UPPER = np.triu_indices(3)
 
 
 def table_of(robot: RobotModel) -> Floats:
-    """Make the table of a robot at rest without gravity or loads, shape (b, COLUMNS)."""
+    """Make a table, shape (b, COLUMNS), with the base at rest and without gravity or loads."""
     table = np.zeros((len(robot.parent), COLUMNS))
     R_ZL = rotations_to_z(robot)
     R_ZL_of_parent = R_ZL[robot.parent]
@@ -235,9 +235,9 @@ def joints_before(robot: RobotModel) -> Integers:
     """
     Return the index of the previous joint for each of the n joints, shape (n,).
 
-    The previous joint of a joint is the joint that moves its parent body. The index is -1 if
-    the parent body is the base, or if the parent body moves with a mimic joint whose master is
-    this joint or a later one.
+    The previous joint of joint k moves the parent of the body that joint k moves. The index is -1
+    if the parent is the base. The index is also -1 if the parent moves with a mimic joint whose
+    master is joint k or a later joint.
 
     """
     before = np.full(len(robot.joint_names), -1)
@@ -255,7 +255,7 @@ def rotations_to_z(robot: RobotModel) -> Floats:
 
 
 def _rotation_of_z_to(axis: Floats) -> Floats:
-    """Return a rotation of z onto a unit vector; the rotation is exact for +-x, +-y and +-z."""
+    """Return a rotation that turns z onto a unit vector; it is exact for +-x, +-y and +-z."""
     if not axis.any():  # the base has no joint
         return np.eye(3)
     if axis[2] < 0.0:  # half a turn about x, because the formula below divides by 1 + z

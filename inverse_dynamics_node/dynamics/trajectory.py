@@ -13,13 +13,13 @@ from .batch import LANES
 from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
-"""Largest product of states and joints, because larger results need gigabytes of memory."""
+"""Largest allowed value of states times joints; more would need gigabytes of memory."""
 _FEWEST_TO_SMOOTH = 16
 """Smallest number of points that `smooth` accepts."""
 
 
 class Trajectory(NamedTuple):
-    """Desired positions of m joints at k times, and optionally velocities and accelerations."""
+    """Positions of m joints at k times, and optionally velocities and accelerations."""
 
     joint_names: tuple[str, ...]
     times: Floats
@@ -39,7 +39,8 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     Missing velocities are derived from a cubic spline through the positions, at rest at both ends.
     If velocities are missing, missing accelerations are derived from the same spline. Otherwise,
     missing accelerations are derived from a cubic spline through the velocities, with not-a-knot
-    ends. A single point is at rest. An invalid trajectory raises a TrajectoryError.
+    ends. For a single point, missing velocities and accelerations are zero. An invalid trajectory
+    raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -62,7 +63,7 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
 
 def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers]:
     """
-    Insert states between distant points; return the result and the indices of the old points.
+    Insert states if points are far apart in time; return the result and the old points' indices.
 
     In the result, consecutive states are at most ``longest_step`` [s] apart. Quintic polynomials
     connect the points, as in ros2_control's joint trajectory controller. The polynomials match the
@@ -86,7 +87,7 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     counts = wanted.astype(np.int64)
     points: Integers = np.concatenate([[0], np.cumsum(counts)])
     if velocities is None or accelerations is None:
-        raise TrajectoryError('the trajectory has no velocities or no accelerations')
+        raise TrajectoryError('the trajectory lacks velocities or accelerations, expected both')
     if len(times) == 1 or np.all(counts == 1):
         return whole, points
     from scipy.interpolate import BPoly
@@ -106,11 +107,11 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     """
     Smooth measured positions, and derive velocities and accelerations.
 
-    The times of the result are evenly spaced. Given velocities and accelerations are ignored. A
-    second-order Butterworth low-pass filter with the cut-off frequency ``cutoff`` [Hz] runs
-    forwards and then backwards, so that the positions are not delayed. Central differences give
-    velocities and accelerations. Too few points, a rate that is too low, or an invalid trajectory
-    raises a TrajectoryError.
+    The times of the result are evenly spaced. Velocities and accelerations in ``trajectory`` are
+    ignored. A second-order Butterworth low-pass filter with the cut-off frequency ``cutoff`` [Hz]
+    runs forwards and then backwards, so that the positions are not delayed. Central differences
+    give velocities and accelerations. Too few points, too low a sampling rate, or an invalid
+    trajectory raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -137,10 +138,10 @@ def trajectory_efforts(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> Floats:
     """
-    Compute the efforts at k points of a trajectory of m joints, shape (k, m) [N m or N].
+    Compute the efforts at the k points of a trajectory of m joints, shape (k, m) [N m or N].
 
-    The trajectory must have velocities and accelerations. The joints of the trajectory may be some
-    of the n joints of the robot, in any order. The columns of the result are in the order of the
+    The trajectory must have velocities and accelerations. The trajectory may contain only some of
+    the n joints of the robot, in any order. The columns of the result are in the order of the
     trajectory's joints. All other joints rest at the positions in ``others``, shape (n,) [rad or
     m], by default at zero. Unknown or repeated joint names raise a TrajectoryError.
 
@@ -225,7 +226,7 @@ def _check(trajectory: Trajectory) -> None:
 
 
 def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Return the index of each name in ``known``; invalid names raise a TrajectoryError."""
+    """Return the index in ``known`` of each name; invalid names raise a TrajectoryError."""
     if not names:
         raise TrajectoryError('the trajectory has no joint names')
     unknown = [name for name in names if name not in known]

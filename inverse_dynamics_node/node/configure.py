@@ -1,4 +1,4 @@
-"""Makes the control loop, and applies changes of parameters while the loop runs."""
+"""Makes the control loop, and applies parameter changes while the loop runs."""
 
 from __future__ import annotations
 
@@ -77,10 +77,10 @@ def apply_configuration(
     loop: ControlLoop, configuration: Configuration, before: Configuration | None = None
 ) -> None:
     """
-    Apply the parameters that may change while the loop runs; see `check_configuration`.
+    Apply the parameters that may change while the loop runs.
 
-    `before` is the old configuration. Unchanged gravity is not applied, because a message on
-    ~/gravity may have replaced the parameter.
+    `check_configuration` checks the values first. `before` is the old configuration. If `gravity`
+    is unchanged, it is not applied, because a message on ~/gravity may have replaced it.
     """
     of_joint = check_configuration(loop, configuration)
     changed = {
@@ -105,7 +105,11 @@ def apply_configuration(
 def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: Mapping[str, Floats]
 ) -> None:
-    """Set drives and springs of the commanded joints; other joints keep the URDF friction."""
+    """
+    Set friction, armature, drive coupling and springs of the commanded joints.
+
+    Other joints have the friction of the URDF, or no friction if `include_friction` is false.
+    """
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
     def of_robot(name: str, others: Floats = zeros, least: float = -np.inf) -> Floats:

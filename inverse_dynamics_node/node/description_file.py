@@ -26,8 +26,8 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     """
     Return the robot and the text of its URDF.
 
-    `description` is the URDF from the topic. A URDF from a parameter has precedence.
-    Raise an InverseDynamicsError if there is no usable description.
+    `description` is the URDF from the topic. A URDF from a parameter or a file has
+    precedence. Raise an InverseDynamicsError if there is no usable description.
     """
     missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
@@ -54,8 +54,8 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
 
     `given` is a path, ``file:///path`` or ``package://package/path``. A path may start with
     ``~``. If the file name ends in ``.xacro``, xacro processes the file, and arguments
-    ``name:=value`` may follow. Raise a ConfigurationError if the file or the package does not
-    exist, or if xacro fails. Raise a UrdfError if the file cannot be used.
+    ``name:=value`` may follow the name. Raise a ConfigurationError if the file or the package
+    does not exist, or if xacro fails. Raise a UrdfError if the file cannot be used.
     """
     file, arguments = _split(given)
     try:
@@ -107,7 +107,7 @@ def _load_xacro(
 
 
 def _text_of(path: Path) -> str:
-    """Return the text of a URDF file without comments."""
+    """Read a URDF file, and return its text without the comments."""
     root, _ = parse(read_source(path))
     etree.strip_tags(root, etree.Comment)
     return str(etree.tostring(root, encoding='unicode'))
@@ -165,11 +165,11 @@ class DescriptionLoader:
 
     @property
     def is_loading(self) -> bool:
-        """Whether a description is being read or waits for `take_loop`."""
+        """Whether a description is being read, or has been read and waits for `take_loop`."""
         return self._loading is not None
 
     def poll(self) -> bool:
-        """Start to read a waiting description if possible; return whether to call `take_loop`."""
+        """Start reading the scheduled description if idle; return whether to call `take_loop`."""
         is_ready = self._loading is not None and self._loading.done()
         if self._next is not None and (is_ready or self._loading is None):
             self._loading = self._worker.submit(load_robot, *self._next)
@@ -178,24 +178,24 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """Schedule a description for reading, and ignore older descriptions."""
+        """Schedule a description for reading, and discard older descriptions."""
         self._next = configuration, description
         self.poll()
 
     def drop(self) -> None:
-        """Ignore all descriptions that have been passed to `load`."""
+        """Discard all descriptions that have been passed to `load`."""
         self._loading = self._next = None
 
     def take_loop(
         self, old: ControlLoop, configuration: Configuration, is_active: bool
     ) -> tuple[ControlLoop, list[str]]:
         """
-        Return the new loop, and the removed links that had a payload.
+        Return the new loop, and the links whose payloads were dropped.
 
         If `is_active`, the new loop continues from the last command of the old loop. Otherwise
-        the new loop only copies inputs such as payloads. `configuration` may be newer than the
-        configuration passed to `load`. Raise an InverseDynamicsError if the description cannot be
-        used.
+        the new loop only copies inputs such as payloads. A payload is dropped if the new robot
+        lacks the link. `configuration` may be newer than the configuration passed to `load`.
+        Raise an InverseDynamicsError if the description cannot be used.
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None

@@ -1,9 +1,9 @@
 """
-Generates texts from the declarations of parameters and topics, without ROS.
+Generates ``--help`` and files from the declarations of parameters and topics, without ROS.
 
-The texts are ``--help``, ``--policy``, config/inverse_dynamics.yaml, config/sros2/policy.xml and
-the parameter table of doc/interface.md. After a change of a declaration, ``make parameters``
-updates the three files.
+The files are config/inverse_dynamics.yaml, config/sros2/policy.xml and doc/interface.md. In
+doc/interface.md, only the parameter table is generated. After a change of a declaration,
+``make parameters`` updates the files.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _YAML_HEADER = """\
 # Efforts are in N m for revolute joints and in N for prismatic joints. "per joint": one number for
 # all commanded joints, or a list with one number for each joint; write all numbers of a list with
 # a decimal point, or all without. "live": a change while the node runs is blended in over
-# start_ramp; other parameters are only read when the node is configured.
+# start_ramp; other parameters are read when the process starts or when the node is configured.
 /**:
   ros__parameters:
 """
@@ -54,12 +54,12 @@ _OPTIONS = """\
 options:
   -h, --help  show this text
   --version   show the version
-  --policy    show an SROS 2 policy for a node with these arguments
+  --policy    show an SROS 2 policy for a node with the given arguments
   --ros-args  ROS arguments follow: -p and --params-file set parameters, -r remaps topics"""
 
 _EXAMPLES = """\
 examples:
-  A dry run computes, checks and publishes everything, but sends no ~/commands:
+  A dry run computes, checks and publishes everything except the commands:
     inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf -p dry_run:=true \\
         -r '~/commands:=/forward_effort_controller/commands'
   If model and robot agree, go live without a restart:
@@ -140,7 +140,7 @@ GROUPS = {
 """The parameters by group title, in the order of ``--help``."""
 
 _WORDS = {"''": 'empty', "['']": 'all', 'None': 'none'}
-"""Words for defaults that are hard to read."""
+"""Words that replace hard-to-read defaults in ``--help`` and in the parameter table."""
 
 
 def help_text() -> str:

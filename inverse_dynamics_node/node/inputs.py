@@ -34,7 +34,7 @@ _MAX_REFERENCE = 1 << 16  # [bytes]; reading so many bytes delays commands by 2 
 
 
 class Inputs:
-    """Stores messages in the control loop; joint states step the loop if update_rate is 0."""
+    """Passes messages to the control loop; if update_rate is 0, each joint state starts a step."""
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
@@ -43,7 +43,7 @@ class Inputs:
         self._checked_imu: tuple[ControlLoop, str] | None = None
         self._collector: JointStateCollector | None = None  # of `self._reader`
         self.last_joint_state = time.monotonic()
-        """Steady time of the last joint state [s]; initially the start time."""
+        """Monotonic time of the last joint state [s]; initially the start time."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
         """Number of times that all commanded joints have been updated."""
@@ -76,7 +76,7 @@ class Inputs:
         )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:
-        """Return the parameters; after a change, let the IMU and gravity be reported again."""
+        """Return the parameters; after a change, forget what was reported on IMU and gravity."""
         configuration = self._runner.configuration
         if configuration is not self._configuration:
             self._configuration = configuration
@@ -117,7 +117,7 @@ class Inputs:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
-        """Return the measured efforts, which may be NaN, or () if no topic needs efforts."""
+        """Return the measured efforts, which may be NaN, or () if no output needs efforts."""
         if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:
@@ -177,7 +177,7 @@ class Inputs:
         self._handle('~/gravity', store)
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
-        """Log a change of gravity; warn if gravity is opposite to the parameter `gravity`."""
+        """Log a change of gravity; warn if it is over 90 degrees off the parameter `gravity`."""
         configuration = self._use_parameters(loop)
         if self._reported_gravity is not None and self._reported_gravity[0] is loop:
             change = np.linalg.norm(gravity - self._reported_gravity[1])
@@ -214,7 +214,7 @@ class Inputs:
         self._handle('~/joint_trajectory_in', lambda loop, now: self._filler.submit(loop, data))
 
     def _handle(self, topic: str, store: Callable[[ControlLoop, float], None]) -> None:
-        """Store a message in the loop, or log why the message is dropped."""
+        """Call `store` with the loop, or log why the message is dropped."""
         now = self._runner.now()
         if self._runner.loop is None:
             self._runner.reject(topic, 'the node is not configured')
@@ -238,7 +238,7 @@ def _read_accelerations(
 
 
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
-    """Read the first point; missing accelerations and efforts become zero."""
+    """Read the first point of a trajectory; missing accelerations and efforts become zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
             f'the message has {len(data)} bytes, expected at most {_MAX_REFERENCE}; only the '
@@ -305,7 +305,9 @@ def _read_vector(message: Any) -> Floats:
 def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
     numbers = np.array(values, dtype=np.float64)
     if len(numbers) != len(names):
-        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)} ({listed(names)})')
+        raise JointStateError(
+            f'{len(numbers)} {what} values, expected {len(names)} ({listed(names)})'
+        )
     is_finite = np.isfinite(numbers)
     if not is_finite.all():
         k = int(np.argmin(is_finite))

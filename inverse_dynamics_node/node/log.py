@@ -1,4 +1,4 @@
-"""Log of the node: reports each change once, and repeats lasting problems."""
+"""Log of the node: reports each change once, and lasting problems repeatedly."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ class BoundedLogger:
 
 class NodeLog:
     """
-    Logs the beginning of a problem, and repeats a lasting problem every few seconds.
+    Logs each new problem, and logs it again every few seconds while it lasts.
 
-    The logger of rclpy can limit repetitions, too, but takes 0.2 ms for each dropped message.
+    The logger of rclpy can also limit repetitions, but takes 0.2 ms for each suppressed message.
     """
 
     def __init__(self, logger: Any) -> None:
@@ -69,26 +69,26 @@ class NodeLog:
         self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
-        """Let the next step report its activity, even if the activity has not changed."""
+        """Let the next step report the activity, even if it has not changed."""
         self._last_activity = None
         self._changes.clear()
 
     def warn(self, key: Hashable, text: str | Callable[[], str], period: float = _PERIOD) -> None:
-        """Log a warning, unless the last message with the same key is younger than `period`."""
+        """Log a warning, unless the same key was logged less than `period` [s] ago."""
         if self._is_due(key, period):
             self._logger.warning(text if isinstance(text, str) else text())
 
     def error(self, key: Hashable, text: str) -> None:
-        """Log an error, unless the same key was used a moment ago."""
+        """Log an error, unless the same key was logged a moment ago."""
         if self._is_due(key):
             self._logger.error(text)
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
-        Log the effect of a message, or why the message was dropped.
+        Log the effect of an incoming message, or why the message was dropped.
 
-        The log entry is a warning if `is_problem`. Nothing is logged if the same text, or too
-        many texts for this topic, were logged a moment ago.
+        The log entry is a warning if `is_problem`. Nothing is logged if the same text was
+        logged a moment ago, or if this topic has just had too many log entries.
         """
         times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
         now = time.monotonic()
@@ -119,7 +119,7 @@ class NodeLog:
         )
 
     def report_part(self, name: str, part: Part | None) -> None:
-        """Report a problem in a part of the status every ten seconds, and report its end."""
+        """Log a problem in a part of the status at once and every ten seconds; log its end."""
         if part is None:
             return
         last = self._last_parts.get(name, (Level.OK, ''))
@@ -169,7 +169,7 @@ class NodeLog:
             self.warn(('implausible', joint), text, _LONG_PERIOD)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report the loss of IMU messages every few seconds, and report the end of the loss."""
+        """While IMU messages are missing, log an error every few seconds; log when they return."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True

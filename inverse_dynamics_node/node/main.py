@@ -230,7 +230,7 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def _unblock_output() -> None:
     """
-    Drop output that nobody reads, because a blocked write would stop the control loop.
+    Let stdout and stderr drop unread output; a blocked write would stop the control loop.
 
     A separate thread for the output would not help: the logger of rclpy writes while it holds the
     global interpreter lock.
@@ -250,7 +250,7 @@ def _report(message: str) -> None:
 
 
 def _unblock(number: int) -> None:
-    """Make a pipe or terminal non-blocking, but only for this process."""
+    """Make an output non-blocking; a pipe or terminal stays blocking for other processes."""
     mode = os.fstat(number).st_mode
     if stat.S_ISSOCK(mode):  # a socket cannot be opened again
         os.set_blocking(number, False)

@@ -1,4 +1,4 @@
-"""Publishes the commands; publishes other topics only if they have subscribers."""
+"""Publishes the commands and the URDF; publishes other topics only if they have subscribers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NO_NUMBERS: Floats = np.zeros(0)
 
 
 class Outputs:
-    """Publishes the commands, and the efforts and wrenches that explain the commands."""
+    """Publishes commands, effort terms, external efforts, base wrench and robot description."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
@@ -48,7 +48,7 @@ class Outputs:
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
-        """Find the topics with subscribers; a check before every message would be too slow."""
+        """Store which topics have subscribers; a check before every message would be too slow."""
         self._subscribed = {
             publisher
             for publisher in (
@@ -63,7 +63,7 @@ class Outputs:
 
     @property
     def receivers(self) -> int:
-        """Number of subscribers of all topics that may carry the commands."""
+        """Total number of subscribers to the topics that may carry the commands."""
         return sum(form.get_subscription_count() for form in self.forms)
 
     @property
@@ -94,7 +94,11 @@ class Outputs:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
 
     def describe_dry_run(self, to: str) -> str:
-        """Describe where a dry run publishes efforts; `to` names the topic without efforts."""
+        """
+        Describe where a dry run publishes efforts.
+
+        `to` names the topic that gets no commands, for example 'to /arm/commands'.
+        """
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
             return f'are only computed (dry run); nothing is sent {to} or to {by_name}'
@@ -109,7 +113,7 @@ class Outputs:
             publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, loop: ControlLoop) -> None:
-        """Publish the base wrench, the external efforts and the terms of the last command."""
+        """Publish effort terms and base wrench of the last command, and the external efforts."""
         if not self._subscribed.isdisjoint(self._terms):
             for publisher, term in zip(self._terms, loop.effort_terms(), strict=True):
                 if publisher in self._subscribed:

@@ -1,5 +1,5 @@
 """
-Declares a parameter of the node by type, default, unit and range, and checks its values.
+Describes the type, default, unit and range of a parameter, and checks its values.
 
 This module does not import ROS, so that ``--help`` works without ROS.
 """
@@ -17,7 +17,7 @@ from ..errors import ConfigurationError, plain
 from .scheduling import available_cpus
 
 UNBOUNDED = 1e9
-"""Largest magnitude of a number if its parameter declares no smaller limit."""
+"""Largest permitted magnitude of a number, unless its parameter declares another limit."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def _number(value: Any) -> float:
 
 
 def _cpus(value: Any) -> tuple[int, ...]:
-    """Return the CPUs that are given, or () for all CPUs."""
+    """Return the given CPU numbers; -1 becomes (), which means all CPUs."""
     if isinstance(value, str):
         raise TypeError
     if value == -1:
@@ -84,7 +84,7 @@ def _numbers(value: Any) -> PerJoint:
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    """Return the names that are not empty; rclpy turns an empty list into None."""
+    """Return the names that are not empty; `value` is None if rclpy got an empty list."""
     if isinstance(value, str):
         raise TypeError
     return tuple(_text(name) for name in value or () if name)
@@ -134,7 +134,7 @@ class Parameter:
     minimum: float = -UNBOUNDED
     maximum: float = UNBOUNDED
     is_live: bool = True
-    """Whether a change applies without a new configuration of the node."""
+    """Whether a change applies without reconfiguring the node."""
     is_read_only: bool = False
     """Whether the value can be set only when the process starts."""
     is_unlimited_at_zero: bool = False
@@ -212,7 +212,7 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
 
 
 def _hint(value: Any) -> str:
-    """Return a hint if a text looks like a number, otherwise an empty text."""
+    """Return a hint if the value is a string that looks like a number, otherwise ''."""
     try:
         number = float(value) if isinstance(value, str) else math.nan
     except ValueError:

@@ -31,11 +31,11 @@ VALUE_OF_URDF = -1.0
 
 
 class BaseMotion(Enum):
-    """How the base moves."""
+    """How the motion of the base is known."""
 
     FIXED = 'fixed'
     IMU = 'imu'
-    """An inertial measurement unit on the base measures its motion."""
+    """An inertial measurement unit measures the motion of the base."""
 
 
 class MissingInertial(Enum):
@@ -46,7 +46,7 @@ class MissingInertial(Enum):
 
 
 class FileChanges(Enum):
-    """When another node may choose the file with the robot description."""
+    """When the parameter `robot_description_file` may be set while the process runs."""
 
     NEVER = 'never'
     BEFORE_ACTIVATION = 'before_activation'
@@ -262,7 +262,7 @@ class Configuration(Settings, LoadSettings):
     )
     allow_description_file_changes: FileChanges = parameter(
         FileChanges.BEFORE_ACTIVATION.value,
-        'When `robot_description_file` may be set while the process runs',
+        'Until when `robot_description_file` may be set at run time',
         'The value of `robot_description_file` names a file that this process opens, and may '
         'contain code that xacro evaluates. `before_activation`: until the node is activated for '
         'the first time. `never`: only on the command line or in a parameter file. A message on '
@@ -273,13 +273,13 @@ class Configuration(Settings, LoadSettings):
     allow_unknown_parameters: bool = parameter(
         False,
         'Ignore unknown parameters, for example in a file that several nodes share',
-        'By default, unknown parameters prevent the start, because a limit with a mistyped name '
-        'has no effect',
+        'By default, the node does not start with unknown parameters, because a limit with a '
+        'mistyped name would have no effect',
         is_live=False,
         is_read_only=True,
     )
     locked_positions: dict[str, float] = field(default_factory=dict)
-    """Positions of uncommanded joints by name, used until joint states arrive [rad or m]."""
+    """Positions [rad or m] of uncommanded joints by name, used until joint states arrive."""
 
     @property
     def period(self) -> float:
@@ -310,4 +310,4 @@ PARAMETERS = {
     )
     if each.metadata
 }
-"""All parameters by name, except those that start with ``locked_positions``."""
+"""All parameters by name, except ``locked_positions.<joint>``."""

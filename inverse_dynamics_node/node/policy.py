@@ -1,7 +1,8 @@
 """
 Lists the topics and services of the node, and writes an SROS 2 policy for them.
 
-The policy also covers related programs. This module does not import ROS.
+The policy also covers the driver, `inverse_dynamics watch` and operators. This module does not
+import ROS.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ SERVICES = {
 _HEADER = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <!-- Permissions for topics and services. doc/security.md describes how to use this file, and
-     how to make one for other names. A node that lacks permission for a topic does not start. -->
+     how to make one for other node and topic names. A node that lacks permission for a topic
+     does not start. -->
 """
 _SERVICES_OF_EVERY_NODE = (
     'describe_parameters',
@@ -125,7 +127,7 @@ def enclaves(arguments: Sequence[str]) -> tuple[Enclave, ...]:
 
 
 def policy(arguments: Sequence[str]) -> str:
-    """Return the text of an SROS 2 policy file for a node with these arguments."""
+    """Return the text of an SROS 2 policy file for a node that is started with these arguments."""
     lines = ['<policy version="0.2.0">', '  <enclaves>']
     for enclave in enclaves(arguments):
         # The name of the node has no effect, because all other names are absolute.

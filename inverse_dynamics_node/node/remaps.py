@@ -45,7 +45,7 @@ class NodeNames:
         return full_name
 
     def ineffective_remaps(self, names: Sequence[str]) -> list[str]:
-        """Describe the remap rules that match none of these names of topics and services."""
+        """Describe the remap rules that match none of the topics and services in `names`."""
         own = set(map(self._expanded, names))
         problems = []
         for rule, target in self._rules:
@@ -60,7 +60,7 @@ class NodeNames:
         return problems
 
     def ineffective_files(self) -> list[str]:
-        """Describe the parameter files for other nodes only; rcl must have accepted all files."""
+        """Describe the parameter files that contain only parameters of other nodes."""
         problems = []
         for _, file in _operands(self._arguments, '--params-file'):
             sections = _sections(_content(file))
@@ -72,7 +72,7 @@ class NodeNames:
         return problems
 
     def _remapped(self, *names: str) -> str:
-        """Return the target of the first remap rule for any of these names, or an empty text."""
+        """Return the target of the first remap rule for any of these names, or an empty string."""
         return next((target for given, target in self._rules if self._own(given) in names), '')
 
     def _own(self, given: str) -> str:
@@ -116,7 +116,7 @@ def names_of(node: Any) -> list[str]:
 
 
 def expanded_tildes(arguments: Sequence[str]) -> list[str]:
-    """Explain the remap rules in which the shell has replaced ~ with the home directory."""
+    """Return hints on remap rules in which the shell has replaced ~ with the home directory."""
     hints = {rule: _explain_tilde(rule) for rule in _remaps(arguments)}
     return [f'-r {rule}{hint}' for rule, hint in hints.items() if hint]
 

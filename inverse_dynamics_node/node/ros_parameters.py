@@ -1,4 +1,4 @@
-"""Declares, reads and checks the parameters of the node with rclpy."""
+"""Declares the parameters of the node in rclpy, and reads and checks their values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _RENAMED = {'payload_transition_time': 'load_ramp'}
 
 def declare_parameters(node: Node) -> Configuration:
     """
-    Declare all parameters, and return the values from the command line and parameter files.
+    Declare all parameters, and return their values from the command line, files or defaults.
 
     Raise a ConfigurationError that names every unknown parameter and every invalid value.
     """
@@ -89,7 +89,7 @@ def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
 
 
 def unknown_overrides(node: Node) -> list[str]:
-    """Describe each parameter that was set at the start but does not exist."""
+    """Describe each unknown parameter on the command line or in parameter files."""
     later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
     return unknown_parameters(
         node, (name for name in _overrides(node) if not name.startswith(later))
@@ -123,7 +123,7 @@ def unused_qos_overrides(node: Node) -> list[str]:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return the parameters from the command line and files by name, even if undeclared."""
+    """Return the parameters on the command line and in parameter files, even if undeclared."""
     # The public method would declare every name, even a mistyped name.
     overrides: dict[str, Any] = node._parameter_overrides
     return overrides
@@ -157,7 +157,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return the valid values as fields of a `Configuration`, and describe the invalid values."""
+    """Return the valid values as arguments for `Configuration`, and describe the invalid ones."""
     locked: dict[str, float] = {}
     checked: dict[str, Any] = {'locked_positions': locked}
     problems = []
@@ -173,7 +173,7 @@ def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _contradictions(checked: dict[str, Any]) -> list[str]:
-    """Describe values that are valid alone, but contradict each other or are in a gap."""
+    """Describe contradictory values, and invalid values that a minimum cannot exclude."""
     problems = []
     if checked.get('robot_description') and checked.get('robot_description_file'):
         problems.append(

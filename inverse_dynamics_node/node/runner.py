@@ -116,7 +116,7 @@ class LoopRunner:
         self.is_active = True
 
     def reject(self, topic: str, reason: object, what: str = 'message') -> None:
-        """Log and count a message that cannot be used, or the part `what` of the message."""
+        """Log and count a message that cannot be used; `what` names the unusable part."""
         self.monitor.reject(topic, shortened_lines(str(reason)))
         self.log.report_message(topic, f'{what} dropped: {reason}')
 
@@ -159,7 +159,7 @@ class LoopRunner:
         self.outputs.publish_command(self.loop, command.efforts, command.sent)
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
-        """Start a dry run, or end the dry run if the commands are zero."""
+        """Start or end a dry run as configured; it can only end while the commands are zero."""
         is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
         time_to_fall = loop.controller.shaper.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
@@ -203,7 +203,7 @@ class LoopRunner:
             self.step(self.now())
 
     def _on_watch(self) -> None:
-        """Step if joint states are missing, or if the efforts must fall without joint states."""
+        """Step if joint states are lost, or if the commands must ramp down without them."""
         if self.loop is None:  # the event was queued before its timer was destroyed
             return
         self._switch_loop()
@@ -242,7 +242,7 @@ class LoopRunner:
             self._watch.reset()
 
     def _switch_loop(self) -> None:
-        """Switch to the loop of a new robot description once the description has been read."""
+        """Switch to the loop of a new robot description if the worker has read one."""
         assert self.loop is not None
         if not self.loader.poll():
             return
@@ -307,7 +307,7 @@ class LoopRunner:
             self._report_damping(loop)
 
     def _report_damping(self, loop: ControlLoop) -> None:
-        """Log why the stop damping has ended."""
+        """Log why the stop damping has ended, if it has."""
         report = loop.controller.stop_damping.report
         if not report:
             return
@@ -326,7 +326,8 @@ class Watchdog:
     The EventsExecutor of rclpy queues an event for each message, and timers wait behind the
     messages. A spin checks its time-out only if the queue is empty. Therefore a thread ends the
     spin between two events, and the caller does all overdue work. The events stay in the queue.
-    Do not replace the executor to drop events: services of rclpy 7.1 would then stop answering.
+    Creating a new executor instead would drop the events, but in rclpy 7.1, services would then
+    stop answering.
     """
 
     def __init__(self) -> None:

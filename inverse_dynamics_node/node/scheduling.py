@@ -45,10 +45,10 @@ class Scheduling:
     """
     Gives the control loop and the middleware precedence over other programs.
 
-    Create this object in the thread of the control loop, before the worker and the node. Earlier
-    threads, such as those of numerical libraries and the log, keep normal priority. Threads of
-    the middleware get real-time priority, because the loop may wait for their locks. A new thread
-    inherits the priority of its parent thread.
+    Create this object in the thread of the control loop, before the worker and the node. Threads
+    that already exist, such as those of numerical libraries and the log, keep normal priority.
+    Threads of the middleware get real-time priority, because the loop may wait for their locks. A
+    new thread inherits the priority of its parent thread.
     """
 
     def __init__(self) -> None:
@@ -69,8 +69,8 @@ class Scheduling:
 
         `priority` is the SCHED_FIFO priority of the loop, from 1 to 99. If `cpus` is empty, every
         CPU may be used. `watchdog` is the native id of the watchdog thread. The watchdog gets a
-        higher priority than the loop, because the loop may never sleep. Return whether everything
-        was permitted, and one line for the log.
+        higher priority than the loop (at most 99), because a busy loop might never sleep. Return
+        whether everything was permitted, and one line for the log.
         """
         problems, done = [], []
         self._priority, self._watchdog, self._problem = priority, watchdog, ''
@@ -113,7 +113,7 @@ class Scheduling:
 
     @contextlib.contextmanager
     def normal_priority(self) -> Iterator[None]:
-        """Give the loop thread normal priority for long work, such as compilation."""
+        """Give the loop thread normal priority during a long task, such as compilation."""
         before = set(_thread_ids())
         if self._is_realtime:
             _schedule(self._loop, 0)
@@ -129,8 +129,8 @@ class Scheduling:
         """
         Give the threads normal priority while the process needs almost all of a CPU.
 
-        Call this method regularly. Return a log text after a change of priority, otherwise an
-        empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of the CPU to
+        Call this method regularly. Return a log text if the priority has changed, otherwise an
+        empty string. If a real-time loop never sleeps, the kernel leaves only 5 % of the CPU to
         other programs.
         """
         duration = time.monotonic() - self._began
@@ -145,7 +145,7 @@ class Scheduling:
                 f'normal priority: the process needed {100 * fraction:.0f} % of a CPU, expected '
                 f'at most {100 * _MAX_CPU:.0f} %'
             )
-            return f'{self._problem}; reduce the rates of messages'
+            return f'{self._problem}; reduce the rates of incoming messages'
         if self._is_limited and fraction < _CALM_CPU:
             self._set_priority(self._priority)
             self._is_limited, self._problem = False, ''
@@ -169,7 +169,7 @@ class Scheduling:
 
 
 def lock_memory() -> str:
-    """Lock each memory page at its first use, and return a log text, or raise an OSError."""
+    """Lock each memory page at its first use; return a log text, or raise an OSError."""
     libc = ctypes.CDLL(None, use_errno=True)
     _, limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))

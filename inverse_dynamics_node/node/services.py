@@ -56,11 +56,11 @@ def describe_robot(loop: ControlLoop) -> str:
     missing = loop.missing()
     if missing:
         waiting = f'waiting for {", ".join(missing)}'
-        return f'{_report(loop, None)}\n\nThe efforts at this pose are not known yet: {waiting}.'
+        return f'{_report(loop, None)}\n\nThe holding efforts are not known yet: {waiting}.'
     try:
         return _report(loop, loop.collector.q)
     except JointStateError as error:
-        return f'{_report(loop, None)}\n\nThe efforts at this pose are not known: {error}.'
+        return f'{_report(loop, None)}\n\nThe holding efforts are not known: {error}.'
 
 
 def _report(loop: ControlLoop, q: Floats | None) -> str:
@@ -123,7 +123,11 @@ def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
 
 
 def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
-    """Return why parameters cannot be set; rclpy 7.1 would not name an unknown parameter."""
+    """
+    Return why parameters cannot be set, or '' if no problem is found.
+
+    The error of rclpy 7.1 would not contain the name of an unknown parameter.
+    """
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
             return (

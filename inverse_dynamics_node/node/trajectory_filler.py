@@ -33,14 +33,14 @@ class Filled(NamedTuple):
     data: bytes
     """The serialized message with the efforts."""
     notes: tuple[str, ...]
-    """Descriptions of the quantities that were derived from other quantities."""
+    """Notes that say how missing velocities or accelerations were derived."""
     beyond: list[str]
     """Joints whose efforts exceed their limits."""
 
 
 def fill(loop: ControlLoop, data: bytes) -> Filled:
     """
-    Compute the efforts for a serialized trajectory of any joints of the robot.
+    Compute the efforts for a serialized trajectory of some or all joints of the robot.
 
     The loop provides the positions of all other joints. Raise a TrajectoryError if the trajectory
     cannot be used.
@@ -72,21 +72,19 @@ class TrajectoryFiller:
         Queue a serialized trajectory for the computation of its efforts.
 
         The worker gets a copy of the loop in its present state. Raise a TrajectoryError if nobody
-        subscribes to the results, or if too many trajectories wait. Also raise the error if the
-        node is active and the trajectory is so long that it would delay commands.
+        subscribes to the results, or if too many trajectories are waiting. Also raise the error
+        if the node is active and the message is so large that it would delay commands.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
         if self._runner.is_active and len(data) > _MAX_SIZE:
             raise TrajectoryError(
                 f'the trajectory has {len(data)} bytes, expected at most {_MAX_SIZE} while the '
-                'node is active, because a longer trajectory would delay commands; '
+                'node is active, because a larger trajectory would delay commands; '
                 'deactivate the node first, or split the trajectory'
             )
         if len(self._waiting) >= _MAX_WAITING:
-            raise TrajectoryError(
-                f'{_MAX_WAITING} trajectories are already waiting for their efforts'
-            )
+            raise TrajectoryError(f'{_MAX_WAITING} trajectories are already queued')
         self._waiting.append(self._worker.submit(fill, loop, data))
         self._timer.reset()
 
@@ -146,7 +144,7 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
 def _write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
-    """Return the trajectory as a message with efforts, and with header and times of `message`."""
+    """Return a message with the trajectory, its efforts, and the header and times of `message`."""
     result = JointTrajectory(header=message.header, joint_names=message.joint_names)
     rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
     result.points = [

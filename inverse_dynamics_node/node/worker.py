@@ -1,4 +1,4 @@
-"""A process that does long work for the node while the control loop runs."""
+"""A process that runs long tasks for the node while the control loop runs."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ class Worker:
     """
     Calls functions one at a time in a child process.
 
-    The control loop would have to wait for a thread that reads a message or an XML file, because
-    such a thread holds the global interpreter lock for milliseconds. On a busy machine, the
-    scheduler may also interrupt the thread while the thread holds the lock.
+    A thread that reads a message or an XML file would hold the global interpreter lock for
+    milliseconds, and so delay the control loop. On a busy machine, the scheduler may also
+    interrupt the thread while it holds the lock.
 
     The child process is a copy of this process. Create the worker after the imports, so that the
     processes share the memory of the libraries. Create the worker before the node, so that the
-    copy contains no ROS entities. Create `Scheduling` before the worker, so that the threads of
-    the worker in this process get the priority of the loop. A thread does the work if
-    `has_process` is false or the child process has ended.
+    copy contains no ROS entities. Create `Scheduling` before the worker, so that the threads
+    that the worker starts in this process get the priority of the loop. If `has_process` is
+    false or the child process has ended, a thread calls the functions.
     """
 
     def __init__(self, has_process: bool = False) -> None:
         self.problem = ''
-        """Why the child process could not be created, or an empty text."""
+        """Why the child process could not be created, or an empty string."""
         self._executor: Executor = ThreadPoolExecutor(1, 'worker')
         if has_process:
             try:
@@ -56,7 +56,7 @@ class Worker:
                 self._executor = pool
             except OSError as error:  # a limit on processes or on memory
                 self.problem = (
-                    f'cannot create a process for long work ({error}): a thread does the work '
+                    f'cannot create a process for long tasks ({error}): a thread runs the tasks '
                     'instead, and delays commands'
                 )
 
@@ -64,7 +64,7 @@ class Worker:
         """
         Schedule a call of a module-level function, and pickle the arguments now.
 
-        Poll the future, because its callbacks would run in another thread.
+        Callers must poll the future, because its callbacks run in another thread.
         """
         request = pickle.dumps((function, arguments))
         try:

@@ -1,4 +1,4 @@
-"""Describes the result of a live comparison in one or two sentences."""
+"""Describes the result of a live comparison of model and robot in a few sentences."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _differ(agreement: Agreement) -> str:
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
     if agreement.saturated:
-        parts.append(f'the effort is cut to its limit at {_listed(agreement.saturated)}')
+        parts.append(f'the effort of {_listed(agreement.saturated)} is cut to its limit')
     return f'{"; ".join(parts)}. {advice(agreement.faults[0]).removesuffix(".")}'
 
 
@@ -43,7 +43,7 @@ def _few_joints(agreement: Agreement) -> str:
     count, total = agreement.numbers
     return (
         f'model and robot agree, but only {count:.0f} of {total:.0f} joints could be checked: '
-        f'{_compared(agreement)}; move the arm to check the others'
+        f'{_compared(agreement)}; move the arm to check more joints'
     )
 
 
@@ -128,7 +128,7 @@ _OBSTACLES: dict[Obstacle, Callable[[Agreement], str]] = {
     Obstacle.ZERO_EFFORTS: lambda agreement: (
         'not compared: all measured efforts are 0; either brakes hold the arm, or the driver does '
         'not report efforts, or the driver reports efforts without gravity (then set '
-        'measured_gravity: excluded)'
+        'measured_gravity to excluded)'
     ),
     Obstacle.TOO_FEW_SAMPLES: lambda agreement: (
         f'not compared yet: collecting samples for up to {DURATION:g} s'

@@ -12,7 +12,7 @@ AT_NOISE = 1.5  # a residual below this multiple of the noise may be noise only
 
 
 def verdict(result: ComparisonResult) -> str:
-    """Summarize the comparison in one or two sentences."""
+    """Summarize the comparison in a few sentences."""
     if math.isnan(result.explained):
         opening = '. '.join(sentence(each) for each in result.faults)
         reason = 'The efforts cannot be compared, because they hardly vary.'
@@ -42,7 +42,7 @@ def verdict(result: ComparisonResult) -> str:
 
 
 def _total(result: ComparisonResult, name: str) -> str:
-    """Write the RMS over the moving revolute joints, and over the moving prismatic joints."""
+    """Write the RMS of the field `name` over the moving joints of each type."""
     texts = []
     for is_prismatic in (False, True):
         values = [
@@ -62,11 +62,11 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     duration = motion.times[-1] - motion.times[0]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
                'explained', 'scale')  # fmt: skip
-    corrections = ', offset and the findings above' if result.faults else ' and offset'
+    corrections = ', offset and the corrections above' if result.faults else ' and offset'
     remarks = (
         'All efforts are RMS values. Residual: measured minus modelled effort. Friction: residual '
         'of the model with fitted friction. Corrected: residual of the model with fitted friction'
-        f'{corrections}. Noise: noise that remains after smoothing; a residual below the noise '
+        f'{corrections}. Noise: noise of the smoothed measured effort; a residual below the noise '
         'needs no explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured '
         'effort is about scale * modelled effort + offset. Samples at rest are not used (except '
         'for joints with unknown friction), because dry friction at rest can have any value up '

@@ -1,4 +1,4 @@
-"""Describes each fault in a recording by a headline, evidence and advice."""
+"""Describes each fault in a recording: headline, evidence and advice."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def headline(fault: Fault) -> str:
 
 
 def sentence(fault: Fault) -> str:
-    """Return the headline with a capital letter, unless it starts with the name of a joint."""
+    """Capitalize the first letter of the headline, unless it starts with the name of a joint."""
     text = headline(fault)
     return text if fault.kind in _STARTS_WITH_JOINT and fault.interval is None and not (
         fault.kind is FaultKind.SIGN and fault.is_every_joint
@@ -34,7 +34,7 @@ def diagnosis_warning(fault: Fault) -> ModelWarning:
     again = _options(fault)
     hint = advice(fault)
     if again:
-        hint += f' To see the remaining difference, use {again}'
+        hint += f' To continue the diagnosis, use {again}'
     parts = [_EVIDENCE.get(fault.kind, _fixed(''))(fault), _changes(fault)]
     return ModelWarning(f'{headline(fault)}: {"; ".join(filter(None, parts))}', hint)
 
@@ -45,7 +45,7 @@ def advice(fault: Fault) -> str:
 
 
 def _options(fault: Fault) -> str:
-    """Return the options of `compare` that correct the fault, or an empty text."""
+    """Return `compare` options that correct the fault or select its interval; '' if none exist."""
     if fault.interval is not None:
         return f'--from {fault.interval[0]:.1f} --to {fault.interval[1]:.1f}'
     numbers = [0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in fault.values]
@@ -129,8 +129,8 @@ def _payload(fault: Fault) -> str:
 def _rotor(fault: Fault) -> str:
     move = 'moves' if len(fault.joints) == 1 else 'move'
     return (
-        f'{joined(fault.joints)} {move} more inertia than the model has, probably of rotors and '
-        'gears'
+        f'{joined(fault.joints)} {move} more inertia than the model has, probably because of '
+        'rotors and gears'
     )
 
 
@@ -170,7 +170,7 @@ _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_I
 
 
 def _changes(fault: Fault) -> str:
-    """Describe how far a correction of the fault reduces the residuals."""
+    """Describe the residuals, and how much a correction of the fault reduces them."""
     changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''
@@ -189,7 +189,7 @@ def _changes(fault: Fault) -> str:
     cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'correcting this alone'
     how = 'friction fitted in both cases'
     if fault.kind is FaultKind.BODIES:
-        how += ', links fitted to the other half of the recording'
+        how += ', fitted links tested by two-fold cross-validation'
     more = len(fault.changes) - len(changes)
     others = f', and at {counted(more, "more joint")}' if more else ''
     return f'{cause} reduces the RMS residual {left}{others} ({how})'
@@ -207,7 +207,7 @@ def _scale_evidence(fault: Fault) -> str:
     text = f'measured effort divided by modelled effort is {_values(fault)}'
     if fault.unknown:
         unknown = joined(fault.unknown)
-        text += f'; the unit of {unknown} is unknown, because friction dominates'
+        text += f'; the effort unit of {unknown} is unknown, because friction dominates'
     return text
 
 
@@ -246,7 +246,7 @@ _EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = {
     ),
     FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
     FaultKind.NOT_MEASURED: lambda each: (
-        f'it stays at {_values(each)}, but the modelled effort varies'
+        f'the modelled effort varies, but the measured effort is constant ({_values(each)})'
     ),
 }
 
@@ -273,8 +273,9 @@ def _scale_advice(fault: Fault) -> str:
     if fault.is_same_factor:
         return _UNIT_ADVICE
     return (
-        'The values may be motor currents, or torques before the gears. Divide them by these '
-        'factors; each factor is 1 / (torque constant * gear ratio).'
+        'The values may be motor currents, or torques before the gears. For each joint, divide '
+        'them by the ratio of measured to modelled effort, which is 1 / (torque constant * gear '
+        'ratio).'
     )
 
 
@@ -297,33 +298,33 @@ def _payload_advice(fault: Fault) -> str:
 
 def _mounting_advice(fault: Fault) -> str:
     if fault.interval is not None:
-        return 'If the base moves, mount an IMU on it, or publish ~/gravity.'
-    return f'Set gravity: [{_gravity(fault)}] in the node.'
+        return 'If the base moves, mount an IMU on it, or publish gravity on ~/gravity.'
+    return f'Set gravity to [{_gravity(fault)}] in the node.'
 
 
 def _gravity_compensated_advice(fault: Fault) -> str:
     if not fault.is_commanded:
         return (
-            'Unless brakes hold the arm, the driver reports efforts without gravity: set '
-            'measured_gravity: excluded in the node.'
+            'If no brakes hold the arm, the driver reports efforts without gravity: set '
+            'measured_gravity to excluded in the node.'
         )
     return (
-        'Unless brakes hold the arm, the driver already compensates gravity: set '
-        'include_gravity: false in the node. If gravity were compensated twice, the arm would '
-        'move upwards. If only the measured efforts lack gravity, set measured_gravity: excluded '
-        'instead.'
+        'If no brakes hold the arm, the driver already compensates gravity: set '
+        'include_gravity to false in the node. If gravity were compensated twice, the arm would '
+        'move upwards. If only the measured efforts lack gravity, set measured_gravity to '
+        'excluded instead.'
     )
 
 
 def _gravity_measured_advice(fault: Fault) -> str:
     if fault.is_commanded:
         return (
-            'Set measured_gravity: as_commanded in the node. If the driver adds gravity to the '
-            'commands, set include_gravity: false and measured_gravity: included instead.'
+            'Set measured_gravity to as_commanded in the node. If the driver adds gravity to the '
+            'commands, set include_gravity to false and measured_gravity to included instead.'
         )
     return (
-        'Is this intended? If the driver adds gravity to the commands, set measured_gravity: '
-        'included in the node. Otherwise set include_gravity: true, or the arm will sink.'
+        'Is this intended? If the driver adds gravity to the commands, set measured_gravity to '
+        'included in the node. Otherwise set include_gravity to true, or the arm will sink.'
     )
 
 
@@ -332,8 +333,8 @@ def _offset_advice(fault: Fault) -> str:
     if fault.is_motor_side:
         return (
             'The efforts contain the friction of the gears, so they are probably derived from '
-            'motor currents. Look for an offset of the current, or for friction that differs '
-            f'between the directions. {cause}'
+            'motor currents. Look for an offset of the current, or for friction that depends '
+            f'on the direction of motion. {cause}'
         )
     return f'Zero the torque sensors in a pose in which the modelled effort is zero. {cause}'
 
@@ -383,9 +384,9 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
         'enables the measurement, or leave these joints out of the comparison.'
     ),
     FaultKind.UNEXPLAINED: _fixed(
-        'The picture of inverse_dynamics compare shows when the efforts differ. Possible '
-        'causes are contact, a wrong link inertia, a drive at its limit, and an effort that '
-        'is filtered or delayed.'
+        'To see when the efforts differ, look at the picture that inverse_dynamics compare '
+        'writes. Possible causes are contact, a wrong link inertia, a drive at its limit, and an '
+        'effort that is filtered or delayed.'
     ),
 }
 

@@ -1,4 +1,4 @@
-"""Formats tables of an excitation motion and of the expected standard errors."""
+"""Formats tables of an excitation motion and of the errors to expect in an identification."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def excitation_tables(
     box: Extent,
 ) -> list[Table]:
     """
-    Return tables of an excitation motion and of the expected standard errors.
+    Return tables of an excitation motion and of the errors to expect in an identification.
 
-    `trajectory` is the written motion, which may be slower than `excitation`. `efforts` contains
-    the modelled efforts, shape (points, joints) [N m or N]. `box` encloses the moving links in all
-    poses.
+    `trajectory` is the motion in the output file, which may be slower than `excitation`.
+    `efforts` contains the modelled efforts, shape (points, joints) [N m or N]. `box` encloses the
+    moving links during the whole motion.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [
@@ -81,7 +81,7 @@ def _motion(
 
 
 def _distances(excitation: Excitation) -> list[str]:
-    """Describe the smallest distances between links, to the floor and to boxes."""
+    """Describe the smallest distances from links to each other, to the floor and to boxes."""
     kinds: dict[str, list[Nearest]] = {'floor': [], 'box': [], 'links': []}
     for each in excitation.nearest:
         kinds[each.names[1] if each.names[1] in kinds else 'links'].append(each)
@@ -127,8 +127,8 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
         ('joint', 'noise', 'efforts', 'damping', 'Coulomb', 'offset', 'armature'),
         tuple(rows),
         (
-            f'assumes only the noise in the first column, and {count:g} independent samples in '
-            f'{duration:g} s; four runs halve all errors',
+            f'assumes {count:g} independent samples in {duration:g} s, and no errors except the '
+            'noise in the column "noise"; four runs halve all errors',
             'efforts: errors of the efforts that the identified model predicts in random states '
             'within the limits',
             f'{errors.count} unknowns; log det of their information matrix: '
@@ -146,12 +146,12 @@ def _bodies(errors: ExpectedErrors) -> Table:
         if not np.isnan(values).all()
     ]
     return Table(
-        'Expected standard errors of one run, by the joint that moves the body',
+        'Expected standard errors of one run, for the body that each joint moves',
         ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
         tuple(rows),
         (
-            'for vectors and tensors, the largest error of a component; if only a combination of '
-            'parameters can be identified, its error is listed at one joint; "-" means that '
-            'nothing is listed at this joint',
+            'For vectors and tensors, the table shows the largest error among the components. If '
+            'only a combination of parameters can be identified, its error is listed at one joint '
+            'of the combination. The other joints show "-".',
         ),
     )

@@ -14,7 +14,7 @@ from ..robot.model import Floats
 from .tables import motion_notes, Table, with_error
 
 DETERMINED = 0.5
-"""A mass is determined if recordings provide this fraction of the information."""
+"""A mass is determined if recordings provide at least this fraction of the information on it."""
 NOTED_CHANGE = 0.1
 """Relative change above which an undetermined mass gets a note."""
 
@@ -56,8 +56,8 @@ def friction_table(result: IdentificationResult) -> Table:
         'Effort of the joint: damping * velocity + (Coulomb + per load * |effort of the links|) * '
         'tanh(velocity / width) + armature * acceleration + offset, in N m, rad and s (prismatic '
         'joints: N, m, s). Standard errors cover random errors and the spread between blocks of '
-        'the recordings. An armature or a load friction that does not improve the prediction is '
-        'left out.',
+        'the recordings. Armature and friction per load are left out where they do not '
+        'improve the prediction.',
         *_extra_notes(result),
         *(
             f'{joint.name}: friction unknown, because {joint.unknown_because}.'
@@ -146,7 +146,7 @@ def body_table(result: IdentificationResult) -> Table:
     if result.fixed:
         notes.append(f'Links that keep their values: {", ".join(result.fixed)}.')
     if not result.accepted:
-        notes.append('These values were not accepted and are not written.')
+        notes.append('These values were not accepted and are not written to the URDF.')
     return Table('Bodies', columns, tuple(rows), tuple(notes))
 
 
@@ -165,7 +165,7 @@ def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
             f'; the efforts are {abs(result.delay) * 1e3:.1f} ± '
             f'{result.delay_error * 1e3:.1f} ms {late}'
         )
-        delay += ', which the fit removed' if result.delay_removed else ''
+        delay += ' (the fit removed this shift)' if result.delay_removed else ''
     return (
         f'{result.sample_count} samples over {significant(result.duration)} s; efforts and '
         f'regressors are smoothed over {result.smoothing * 1e3:.0f} ms; cross-validation gave the '
@@ -188,7 +188,7 @@ def _millimetres(position: Floats) -> str:
 
 
 def as_json(result: IdentificationResult) -> dict[str, Any]:
-    """Return values for JSON [m, kg, N m or N]."""
+    """Return the result as values for JSON, in SI units."""
     report: dict[str, Any] = _plain(
         {
             'robot': result.robot.name,
@@ -246,7 +246,7 @@ def _joint(joint: JointResult) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Convert values to the types of JSON, and numbers that are not finite to None."""
+    """Convert values to types that JSON supports, and infinite numbers and NaN to None."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

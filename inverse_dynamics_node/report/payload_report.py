@@ -32,8 +32,8 @@ def verdict(result: PayloadEstimate) -> str:
         error = 1e3 * float(max(result.com_error))
         return f'{text}, with its centre of mass at ({com}) ± {max(error, 1.0):.0f} mm.'
     return (
-        f'{text}. The recordings do not show {joined(result.unknown)} of its centre of mass: '
-        'record poses, or a motion, in which the payload turns about two horizontal axes.'
+        f'{text}. The recordings do not determine {joined(result.unknown)} of the centre of '
+        'mass: record poses or a motion that turn the payload about two horizontal axes.'
     )
 
 
@@ -87,7 +87,7 @@ def topic_command(result: PayloadEstimate) -> str:
 
 
 def inertial_element(result: PayloadEstimate) -> str:
-    """Return the payload as an <inertial> element of the link in a URDF."""
+    """Return the payload as an <inertial> element for a URDF, in the frame of the link."""
     mass, com, inertia = result.body
     origin = ' '.join(f'{x:.4f}' for x in com)
     moments = ' '.join(f'{name}="{value:.4g}"' for name, value in _moments(inertia))

@@ -33,11 +33,11 @@ def model_tables(
     """
     Return tables of the masses, joints and limits of a robot.
 
-    `joints` are the commanded joints in the order of the commands, by default all joints. With
-    positions `q` of all joints [rad or m], a table shows the gravity efforts in this pose.
-    `effort_limits` are the limits of the commanded joints [N m or N], by default the limits of the
-    URDF. Raise ConfigurationError if a joint does not exist or the number of limits is wrong.
-    Raise JointStateError if q has a wrong shape or is not finite.
+    `joints` are the commanded joints in the order of the commands, by default all joints. If
+    positions `q` of all joints [rad or m] are given, a table shows the gravity efforts in this
+    pose. `effort_limits` are the limits of the commanded joints [N m or N], by default the limits
+    of the URDF. Raise ConfigurationError if a joint does not exist or the number of limits is
+    wrong. Raise JointStateError if q has a wrong shape or is not finite.
     """
     robot = dynamics.robot
     commanded = tuple(joints) or robot.joint_names
@@ -56,7 +56,7 @@ def model_report(
     q: ArrayLike | None = None,
     effort_limits: ArrayLike | None = None,
 ) -> str:
-    """Return the tables of `model_tables` and the warnings, at most 100 characters wide."""
+    """Return `model_tables` and the warnings as text, at most 100 characters wide."""
     tables = model_tables(dynamics, joints, q, effort_limits)
     warnings = warnings_about(dynamics.robot)
     return '\n\n'.join([*map(as_text, tables), warnings_as_text(warnings)])
@@ -69,7 +69,7 @@ def _summary(dynamics: InverseDynamics) -> Table:
     listed = ', '.join(f'{number} {kind}' for kind, number in kinds.items())
     mimics = len(robot.parent) - 1 - count
     follow = 'mimics' if mimics == 1 else 'mimic'
-    followers = f', {mimics} of them {follow} another joint' if mimics else ''
+    followers = f'; {mimics} of these joints {follow} another joint' if mimics else ''
     has_friction = int(np.count_nonzero(robot.damping + robot.friction))
     massless = [
         name
@@ -102,8 +102,8 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
     followers: dict[str, list[str]] = {}
     notes = [
         'Axis: in the frame of the joint. Limits: position "from" and "to" [rad, m], speed '
-        '[rad/s, m/s] and effort [N m, N]; "-" means no limit. Mass: all links between this joint '
-        'and the next joint.'
+        '[rad/s, m/s] and effort [N m, N]; "-" means no limit. Mass: the link that this joint '
+        'moves, and links fixed to it.'
     ]
     for body in range(1, len(robot.parent)):
         name, joint = robot.body_names[body], int(robot.joint_index[body])
@@ -179,7 +179,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
 def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
-    """Return the effort limits of all joints; `effort_limits` belongs to commanded joints."""
+    """Return the effort limits of all joints, with `effort_limits` for the commanded joints."""
     indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:

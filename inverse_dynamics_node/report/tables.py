@@ -41,20 +41,20 @@ class Table(NamedTuple):
     rows: tuple[tuple[str, ...], ...] = ()
     notes: tuple[str, ...] = ()
     words: frozenset[int] = frozenset()
-    """Indices of other columns that contain words and are aligned to the left."""
+    """Indices of columns after the first that contain words and are aligned to the left."""
     marked: frozenset[int] = frozenset()
     """Indices of the rows that need attention, such as a joint beyond a limit."""
 
 
 class Line(NamedTuple):
-    """One line of text, and its style on a terminal in the notation of the library rich."""
+    """One line of text, and its terminal style in the notation of the `rich` library."""
 
     text: str
     style: str = ''
 
 
 def as_text(table: Table, whole_names: bool = False) -> str:
-    """Format a table as plain text without a final line end."""
+    """Format a table as plain text without a final newline."""
     return '\n'.join(line.text for line in table_lines(table, WIDTH, whole_names))
 
 
@@ -201,12 +201,12 @@ def number(value: float) -> str:
 
 
 def fraction(effort: float, limit: float) -> str:
-    """Write an effort as a percentage of its limit, or a dash without a limit."""
+    """Write an effort as a percentage of its limit, or a dash if the limit is infinite."""
     return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
 
 
 def decimals(values: Floats) -> int:
-    """Return how many decimals show four digits of the largest value, from 1 to 6."""
+    """Return how many decimals, from 1 to 6, show four digits of the largest value."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
@@ -214,7 +214,7 @@ def decimals(values: Floats) -> int:
 
 
 def with_error(value: float, error: float) -> str:
-    """Write a value with as many digits as its standard error justifies."""
+    """Write a value and its standard error, with as many digits as the error justifies."""
     if not error > 0.0 or not math.isfinite(error):
         return significant(value, 4)
     places = min(6, max(0, 1 - math.floor(math.log10(error))))
@@ -234,7 +234,7 @@ def motion_notes(motion: Motion) -> list[str]:
         notes.append(
             f'above about {motion.cut_off:.0f} Hz, the efforts contain neither signal nor noise: '
             'either a low-pass filter acted before the recording, or the efforts were computed '
-            'without noise. A filter distorts the friction at reversals; record the efforts of '
-            'the driver without a filter'
+            'without noise. A filter distorts the friction at reversals; record unfiltered '
+            'efforts from the driver'
         )
     return notes

@@ -19,29 +19,29 @@ from .model import Floats, Integers, RobotModel
 from .urdf.shapes import Shape
 
 ASSUMED_RADIUS = 0.05
-"""Assumed radius of a body without a shape, as a fraction of the longest chain."""
+"""Assumed capsule radius if a shape is unknown, as a fraction of the longest chain's length."""
 _SPACING = (0.008, 0.0125)
-"""Spacing of surface points: least value [m], and fraction of the longest side of a shape."""
+"""Spacing of surface points: minimum [m], and fraction of the longest side of the bounding box."""
 _CELLS = 120
-"""Number of cells along the longest side of a shape; vertices in the same cell are merged."""
+"""Number of grid cells along the bounding box's longest side; vertices in one cell are merged."""
 _SMALLEST = 1e-6
-"""Assumed longest side of a point [m], because a cell must not have size 0."""
+"""Minimum side of the bounding box [m], because the cells of a single point would have size 0."""
 _DEPTH = 3
-"""Largest number of successive cuts of a shape."""
+"""Maximum depth of the recursive cuts of a shape."""
 _PRICE = 0.04
-"""Least saving per cut, as a fraction of the size of the uncut shape."""
+"""Cost of each piece, as a fraction of the size of the uncut shape; see `_best_cut`."""
 _CUTS = (0.35, 0.65)
 _STEPS = 10
 """Number of steps in the search for the centre line of a capsule."""
 
 
 _Row = tuple[int, Floats, float, Floats]
-"""Body, ends, radius and surface points of a capsule."""
+"""Body index, segment ends, radius and surface points of a capsule."""
 
 
 @dataclass(frozen=True, eq=False)
 class Capsules:
-    """The c capsules that contain the bodies of a robot, in the body frames."""
+    """The c capsules around the bodies of a robot; coordinates are in the body frames."""
 
     body: Integers
     """Index of the body of each capsule, shape (c,)."""
@@ -50,11 +50,11 @@ class Capsules:
     radii: Floats
     """Radius of each capsule, shape (c,) [m]."""
     names: tuple[str, ...]
-    """Name of a link in the body of each capsule."""
+    """For each capsule, the name of the first link of its body."""
     surfaces: tuple[Floats, ...]
-    """Surface points in each capsule, shape (k, 3) [m]; k is 0 if the radius is assumed."""
+    """Surface points inside each capsule, shape (k, 3) [m]; k is 0 if the radius is assumed."""
     notes: tuple[str, ...]
-    """Sentences about bodies whose shape is unknown."""
+    """Sentences that name the bodies for which a radius is assumed."""
 
 
 class _Piece(NamedTuple):
@@ -67,7 +67,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume divided by pi, with half of the round ends, because neighbours overlap."""
+        """Capsule volume over pi, but with half of each end cap, because pieces overlap there."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 
@@ -76,10 +76,12 @@ def body_capsules(
     robot: RobotModel, shapes: Iterable[Shape], unreadable: Mapping[str, str]
 ) -> Capsules:
     """
-    Return capsules around all bodies; ``shapes`` and ``unreadable`` are from `read_shapes`.
+    Return capsules around the bodies; ``shapes`` and ``unreadable`` are from `read_shapes`.
 
-    A radius is assumed for bodies that have an unreadable shape, or no shape around their mass.
-    The capsules then connect the origin of the body with its children, links and centre of mass.
+    A radius is assumed for bodies that have an unreadable shape, or no shape around their
+    centre of mass. Capsules of this radius connect the origin of the body with the origins of its
+    children and links, and with its centre of mass. A massless body without a shape gets
+    no capsule, unless it is the base.
 
     """
     rows: list[_Row] = []
@@ -116,7 +118,7 @@ def body_capsules(
 
 
 def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
-    """Return the reasons for assumed radii, by body; ``shaped`` contains links with shapes."""
+    """Map bodies to reasons for an assumed radius; ``shaped`` contains the links with shapes."""
     reasons = {}
     for body in range(len(robot.parent)):
         points = [row[-1] for row in rows if row[0] == body]
@@ -182,9 +184,9 @@ def _pieces(shape: Shape) -> list[_Piece]:
 
 def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
     """
-    Cut a piece if cuts lower the cost; return the cost and the pieces.
+    Cut a piece recursively if this lowers the total cost; return this cost and the pieces.
 
-    The cost of a piece is its size plus the price.
+    The cost of a piece is its size plus ``price``, because every piece is one more capsule.
 
     """
     one = piece.size + price, [piece]
@@ -198,7 +200,7 @@ def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Pie
 
 
 def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
-    """Cut a piece along several planes; return the two halves for each plane."""
+    """Cut a piece along each of several planes; return the two parts for each such cut."""
     import trimesh
 
     found = []
@@ -236,7 +238,7 @@ def _piece(vertices: Floats, faces: Integers) -> _Piece:
 
 
 def _capsule_along(points: Floats, axis: Floats) -> tuple[Floats, float]:
-    """Return the ends and radius of a small capsule around points, parallel to an axis."""
+    """Return the ends and radius of a small capsule around ``points``, parallel to ``axis``."""
     along = points @ axis
     across = points - along[:, np.newaxis] * axis
     centre = 0.5 * (across.max(axis=0) + across.min(axis=0))

@@ -1,4 +1,4 @@
-"""The kinematic tree of a robot: paths, body frames, rotations, and the link for a payload."""
+"""The kinematic tree of a robot: paths, frames, and the link that carries a payload."""
 
 from __future__ import annotations
 
@@ -80,9 +80,9 @@ def rotation_of_origin(attributes: Mapping[str, str]) -> Floats:
 
 def rpy_of_quaternion(text: str) -> str:
     """
-    Convert the text of ``quat_xyzw`` to the text of ``rpy`` [rad].
+    Convert the text of an attribute ``quat_xyzw`` to the text of ``rpy`` [rad].
 
-    The quaternion must not be zero, and is normalised.
+    The quaternion must not be zero, but its norm need not be 1.
 
     """
     values = [float(word) for word in text.split()]
@@ -108,8 +108,8 @@ def last_link(robot: RobotModel) -> str:
     """
     Return the link that probably carries a payload.
 
-    The result is ``tool0`` if this link exists. Otherwise, the result is the end of the longest
-    chain, without fingers.
+    The result is ``tool0`` if this link exists. Otherwise, the result is the last link of the
+    longest chain. Fingers at the end of the chain are ignored.
 
     """
     if 'tool0' in robot.link_names:

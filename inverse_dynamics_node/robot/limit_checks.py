@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .model import Floats, ModelWarning, RobotModel
 
 _FAR_BEYOND = 50.0
-"""An effort limit above this multiple of the largest gravity effort is a placeholder."""
+"""An effort limit above this multiple of the largest gravity effort is probably a placeholder."""
 _FEWEST_EQUAL, _FRACTION_EQUAL = 3, 0.8
 _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
 """Effort limits [N m] that exporters write if the real limits are unknown."""
@@ -25,7 +25,7 @@ def limit_subject(joint: str, quantity: str) -> str:
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about effort limits that ``robot.warnings`` does not contain yet."""
+    """Return warnings about effort limits, except those already in ``robot.warnings``."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -43,9 +43,10 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     """
     Return warnings about effort limits that look like placeholders.
 
-    Each limit is compared with the effort that holds the whole robot stretched out. A wrist needs
-    much less, but motors are not oversized by orders of magnitude. Prismatic joints are ignored,
-    because a gripper presses with many times the weight of its fingers.
+    Each limit is compared with the effort that would hold the whole robot stretched out
+    horizontally. Gravity efforts are never larger, and motors are not oversized by orders of
+    magnitude. Prismatic joints are ignored, because a gripper presses with many times the
+    weight of its fingers.
 
     """
     hint = 'write the largest effort of the joint, from the data sheet of its drive'
@@ -72,7 +73,7 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
 
 
 def _moment_of_weight(robot: RobotModel) -> float:
-    """Return an upper bound of the gravity efforts on Earth [N m]."""
+    """Return an upper bound for the gravity efforts on Earth [N m]."""
     reach = np.zeros(len(robot.parent))
     for body in range(1, len(robot.parent)):
         joint = int(robot.joint_index[body])
@@ -86,7 +87,7 @@ def _moment_of_weight(robot: RobotModel) -> float:
 _MARGIN = 0.1
 """Tolerated distance outside the limits, as a fraction of the range."""
 _LEAST_MARGINS = (0.1, 0.01)
-"""Least tolerated distance for revolute joints [rad] and for prismatic joints [m]."""
+"""Minimum of the tolerated distance, for revolute joints [rad] and for prismatic joints [m]."""
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -120,13 +121,13 @@ def implausible_positions(
     """
     Find joints that are implausibly far outside their limits; report each joint once.
 
-    Encoder offsets often put a joint slightly outside its limits. A tenth of the range is
-    therefore tolerated, and at least 0.1 rad or 0.01 m. Equal lower and upper limits are ignored,
+    Encoder offsets often put a joint slightly outside its limits. The tolerance is therefore a
+    tenth of the range, but at least 0.1 rad or 0.01 m. Equal lower and upper limits are ignored,
     because such limits are usually placeholders.
 
     ``positions`` have shape (..., n) [rad or m]. NaN and infinite values are ignored.
     ``joint_names`` are the names of the n columns, by default the joints of the robot. Unknown
-    names are ignored. Raise a ValueError if the shape is wrong.
+    names are ignored. A wrong shape raises a ValueError.
 
     """
     names = tuple(joint_names) or robot.joint_names
@@ -160,7 +161,7 @@ def implausible_positions(
 def position_warnings(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> tuple[ModelWarning, ...]:
-    """Return warnings about `implausible_positions`; positions in degrees come first."""
+    """Return warnings about `implausible_positions`; those that look like degrees come first."""
     hints = {
         True: 'convert the positions to radians',
         False: 'check units (rad, m), zero positions, the order of the joints, and whether the '
@@ -176,7 +177,12 @@ def position_warnings(
 
 
 def _worst(positions: Floats, lower: float, upper: float) -> float | None:
-    """Return the finite position that is furthest outside the limits, or least far inside."""
+    """
+    Return the finite position that is furthest outside the limits.
+
+    If all positions are inside, return the position that is nearest to a limit.
+
+    """
     finite = positions[np.isfinite(positions)]
     if not finite.size:
         return None

@@ -2,7 +2,7 @@
 The model of a robot as read-only arrays.
 
 Links connected by fixed joints form one *body*. Body 0 is the base. Every other body is moved by
-one joint, and the URDF frame of this joint is the frame of the body. The arrays are named in
+one joint, and the URDF frame of this joint is the frame of the body. Two arrays have names in
 monogram notation: ``R_PL`` rotates vectors from the frame of body L to the frame of its parent P,
 and ``p_PL`` is the origin of L in the frame of P.
 """
@@ -70,7 +70,9 @@ class RobotModel:
     effort_limits: Floats
     """Effort limit of each joint, shape (n,) [N m or N]; inf without a limit."""
     damping: Floats
-    """Viscous friction of each joint and its mimic joints, shape (n,) [N m s/rad or N s/m]."""
+    """
+    Viscous friction of each joint and its mimic joints, shape (n,) [N m s/rad or N s/m].
+    """
     friction: Floats
     """Coulomb friction of each joint and its mimic joints, shape (n,) [N m or N]."""
     is_continuous: Booleans
@@ -88,7 +90,7 @@ class RobotModel:
     """Whether the joint of each body is prismatic, shape (b,); False for the base."""
     joint_index: Integers
     """
-    Index in ``joint_names`` of the joint of each body, shape (b,); -1 for the base.
+    Index in ``joint_names`` of the joint that moves each body, shape (b,); -1 for the base.
 
     For a mimic joint, this is the index of the mimicked joint.
     """
@@ -101,9 +103,9 @@ class RobotModel:
     offset: Floats
     """Position offset of each body, shape (b,) [rad or m]; see ``multiplier``."""
     R_PL: Floats
-    """Rotation from each body frame to the frame of the parent at position 0, shape (b, 3, 3)."""
+    """Rotation from each body frame to the parent frame at joint position 0, shape (b, 3, 3)."""
     p_PL: Floats
-    """Origin of each body in the frame of the parent at position 0, shape (b, 3) [m]."""
+    """Origin of each body at joint position 0, in the parent frame, shape (b, 3) [m]."""
     axis: Floats
     """Unit vector of each joint axis, in the body frame, shape (b, 3); zero for the base."""
     mass: Floats
@@ -129,7 +131,7 @@ class RobotModel:
     """Inertia of each link about its centre of mass, in link axes, shape (k, 3, 3) [kg m^2]."""
 
     warnings: tuple[ModelWarning, ...] = ()
-    """Warnings about the robot description, in file order."""
+    """Warnings about the robot description."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

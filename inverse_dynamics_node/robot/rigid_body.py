@@ -4,7 +4,7 @@ Rigid bodies, given by mass, centre of mass and inertia, or by ten inertial para
 The ten parameters of a body are m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in the order of
 `InverseDynamics.regressor`. Here m is the mass, and h is the mass times the centre of mass. I is
 the inertia about the origin of the frame. The pseudo-inertia [1]_ is the matrix
-[[S, h], [h^T, m]], where S = tr(I) / 2 E - I, and E is the identity. A body with these parameters
+[[S, h], [h^T, m]], where S = E tr(I) / 2 - I, and E is the identity. A body with these parameters
 can exist if and only if the pseudo-inertia is positive semidefinite.
 
 References
@@ -29,7 +29,7 @@ _ROWS = np.array([0, 0, 1, 0, 1, 2])  # of Ixx, Ixy, Iyy, Ixz, Iyz, Izz
 _COLUMNS = np.array([0, 1, 1, 2, 2, 2])
 
 SMALLEST_RADIUS = 0.01
-"""`moved_inside` enlarges impossible bodies to at least this radius of gyration [m]."""
+"""`moved_inside` enlarges a body to at least this RMS extent in each direction [m]."""
 
 
 class RigidBody(NamedTuple):
@@ -43,11 +43,11 @@ class RigidBody(NamedTuple):
     """Inertia about the centre of mass, along the axes of the frame, shape (3, 3) [kg m^2]."""
 
     def rotate(self, rotation: Floats) -> RigidBody:
-        """Return the body in new axes; ``rotation`` is from the old axes to the new axes."""
+        """Express the body in new axes; ``rotation`` converts old to new coordinates."""
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:
-        """Return the body in a moved frame; ``position`` [m] is the old origin in this frame."""
+        """Express the body in a new frame; ``position`` [m] is the old origin in the new frame."""
         return RigidBody(self.mass, position + self.com, self.inertia)
 
     def scale(self, factor: float) -> RigidBody:
@@ -58,9 +58,9 @@ class RigidBody(NamedTuple):
         """
         Return the ten inertial parameters, shape (10,).
 
-        The parameters are the mass [kg], the mass times centre of mass (x, y, z) [kg m], and the
-        inertia (xx, xy, yy, xz, yz, zz) [kg m^2]. The inertia is about the origin of the frame,
-        not about the centre of mass.
+        The parameters are the mass [kg], the mass times the centre of mass (x, y, z) [kg m], and
+        the inertia (xx, xy, yy, xz, yz, zz) [kg m^2]. The inertia is about the origin of the
+        frame, not about the centre of mass.
 
         """
         com = self.com
@@ -132,10 +132,11 @@ def rigid_body(parameters: Floats) -> RigidBody:
 
 def moved_inside(parameters: Floats) -> Floats:
     """
-    Enlarge a body with an impossible inertia or no extent in some direction.
+    Enlarge a body that has an impossible inertia or almost no extent in some direction.
 
-    The radius of gyration becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do
-    not change. Argument and result are parameters, shape (10,). The mass must be positive.
+    In every direction, the root mean square distance of the mass from the centre of mass becomes
+    at least `SMALLEST_RADIUS`. Other bodies do not change. Argument and result are parameters,
+    shape (10,). The mass must be positive.
 
     """
     matrix = pseudo_inertias(parameters)
@@ -155,8 +156,8 @@ def transport(before: Floats, after: Floats) -> Floats:
     Return the symmetric positive definite matrix T with ``T before T^T = after``.
 
     The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If the
-    pseudo-inertia P of every part of the body becomes ``T P T^T``, the parts remain physical, and
-    the sum of the parts becomes ``after``.
+    pseudo-inertia P of every part of the body is replaced by ``T P T^T``, the parts remain
+    physically possible, and their sum is ``after``.
 
     """
     root = _power(before, 0.5)

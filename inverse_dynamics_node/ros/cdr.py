@@ -2,8 +2,8 @@
 Reads serialized joint states and writes serialized commands.
 
 Deserializing a message takes longer than computing the efforts. Therefore only the first message
-of a publisher is deserialized. Later messages have the same joint names and the same layout, so
-that their numbers can be read in place.
+of a publisher is deserialized. Later messages usually have the same joint names and the
+same layout. Their numbers are then read in place.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class JointStateReader:
 
     def read(self, data: bytes) -> JointStateArrays:
         """
-        Read one message from a raw subscription; the arrays are usually read-only views.
+        Read one message from a raw subscription; the arrays are usually read-only views of `data`.
 
         Raise a JointStateError if `data` is not a JointState. `prepare` may raise the same error.
         """
@@ -100,9 +100,9 @@ class _Layout(NamedTuple):
     """Where a message stores its arrays, and how to recognize messages with the same layout."""
 
     pattern: struct.Struct
-    """Unpacks texts and array lengths; skips the stamp, padding and numbers."""
+    """Unpacks strings and array lengths; skips the stamp, padding and numbers."""
     fixed: tuple[Any, ...]
-    """Texts and array lengths that all messages with this layout contain."""
+    """Strings and array lengths that all messages with this layout contain."""
     joints: Any
     places: tuple[tuple[int, int], ...]
     """Lengths and byte offsets of positions, velocities and efforts."""

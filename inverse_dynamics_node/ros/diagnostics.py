@@ -22,7 +22,7 @@ _NONE = 'none'
 
 
 class _Kind(NamedTuple):
-    """Functions that write and read values of one type; `read` may raise a ValueError."""
+    """Functions that convert values of one type to text and back; `read` may raise ValueError."""
 
     write: Callable[[Any], str]
     read: Callable[[str], Any]
@@ -73,7 +73,7 @@ class _Key:
     is_counted: bool
 
     def write(self, value: Any) -> dict[str, str]:
-        """Return the texts of the value by key."""
+        """Convert the value to strings, and return them by key."""
         if value is None:
             return {self.name: self.absent} if self.absent else {}
         if '*' not in self.name:
@@ -82,7 +82,7 @@ class _Key:
         return {self.name.replace('*', str(name)): str(each) for name, each in pairs}
 
     def read(self, values: Mapping[str, str]) -> Any:
-        """Read the value from texts by key; return None if the value is missing."""
+        """Read the value from the strings in `values`; return None if the value is missing."""
         if '*' not in self.name:
             text = values.get(self.name, self.absent)
             return None if text == self.absent else self.kind.read(text)
@@ -120,7 +120,7 @@ _KEYS: dict[type[Part], list[_Key]] = {part: _keys(part) for part in _PARTS.valu
 
 
 def write_values(part: Part) -> dict[str, str]:
-    """Return the values of a part as texts, by key."""
+    """Return the values of a part as strings, by key."""
     values: dict[str, str] = {}
     for key in _KEYS[type(part)]:
         values |= key.write(getattr(part, key.value))
@@ -129,7 +129,7 @@ def write_values(part: Part) -> dict[str, str]:
 
 def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
     """
-    Return the message for ``/diagnostics``, with long texts shortened.
+    Return the message for ``/diagnostics``, with long strings shortened.
 
     `stamp` is the time in the header. `node` is the fully qualified name of the node. The name of
     each part begins with `node`, without the leading slash.

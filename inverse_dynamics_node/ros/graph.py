@@ -20,9 +20,9 @@ class Graph:
     """
     Queries the ROS graph on behalf of a node.
 
-    Make queries only in slow timers, because a query takes up to 50 us, and longer in a large
-    graph. `forms` are the publishers of the topics that may carry the commands. Reports name the
-    first of these topics that has a subscriber.
+    Make queries only in low-rate timers, because a query takes up to 50 us, or more in a large
+    graph. `forms` are the publishers of the topics that may carry the commands. The first of these
+    topics that has a subscriber is the command topic.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:
@@ -72,9 +72,9 @@ class Graph:
 
     def subscriber_change(self) -> str:
         """
-        Return a log text if the commands got their first subscriber or lost their last subscriber.
+        Return a log message if the command topic got its first subscriber or lost its last one.
 
-        Return an empty text if nothing has changed since the last call of this method or of
+        Return an empty string if nothing has changed since the last call of this method or of
         `with_subscribers`.
         """
         commands = self._commands
@@ -121,7 +121,7 @@ class Graph:
         return seen
 
     def clock(self) -> ClockStatus:
-        """Judge the simulated time by how long it has not changed."""
+        """Judge the simulated clock by the time since its last change."""
         now = self._node.get_clock().now().nanoseconds
         steady = time.monotonic()
         if now != self._last_time:
@@ -132,7 +132,7 @@ class Graph:
         return ClockStatus(*judgement, seconds, unchanged_for, publishers)
 
     def _rivals(self, commands: Any) -> set[str]:
-        """Return the other nodes that publish on the topic and with the type of `commands`."""
+        """Return the other nodes that publish on the topic of `commands`, with the same type."""
         kind = type_name(commands.msg_type)
         publishers = Counter(
             _name_of(info)

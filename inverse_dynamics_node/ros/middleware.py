@@ -50,8 +50,8 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     """
     Raise a ConfigurationError if ROS would silently start without the requested security.
 
-    ROS compares exact texts: ``True`` or ``1`` does not enable security, and ``enforce`` does not
-    enforce security. Only DDS middleware reads the enclave; rmw_zenoh ignores the enclave.
+    ROS expects exact spelling: ``True`` or ``1`` does not enable security, and ``enforce`` does
+    not enforce security. Only DDS middleware reads the enclave; rmw_zenoh ignores the enclave.
     """
     enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
     if enabled not in ('', 'true', 'false'):
@@ -84,7 +84,7 @@ def security_hints(error: Exception) -> list[str]:
 
 @contextmanager
 def explained_start() -> Iterator[None]:
-    """Raise a one-line ConfigurationError if ROS cannot start or a node cannot be created."""
+    """Raise a short ConfigurationError if the `with` block cannot start ROS or create a node."""
     try:
         yield
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names
@@ -98,9 +98,10 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     Return the environment variables that keep Fast DDS from using shared memory.
 
     The result is empty for other middleware, and if the user has chosen other transports or a
-    profile. With the discovery range LOCALHOST, rmw_fastrtps requests shared memory even if other
-    transports are chosen. In this case, a profile replaces the range. With static peers, the
-    result is empty, because a profile would have to list the peers.
+    profile. With the discovery range LOCALHOST, rmw_fastrtps requests shared memory even if the
+    environment selects UDP. For LOCALHOST, the result therefore names a profile that uses only
+    UDP and limits discovery to this machine. If static peers are also set, the result is empty,
+    because the profile would have to list the peers.
     """
     profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
     has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')

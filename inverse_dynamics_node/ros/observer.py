@@ -55,7 +55,7 @@ class Sample(NamedTuple):
     """The latest values of all n joints of the robot; NaN if unknown."""
 
     time: float
-    """Steady time of the sample [s]."""
+    """Time of the sample on the steady clock [s]."""
     positions: Floats
     """Positions as received, shape (n,) [rad or m]."""
     q: Floats
@@ -109,7 +109,7 @@ class Observer:
     Collects the messages of the node with the fully qualified name `name`.
 
     `poll` takes the messages from the middleware. No executor spins the observing node, because
-    an executor would call Python code for each message, a thousand times per second.
+    an executor would wake up for each message, often a thousand times per second.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -117,7 +117,7 @@ class Observer:
         self.status: NodeStatus | None = None
         """The latest diagnostics; None before the first message."""
         self.status_time = -np.inf
-        """Steady time at which the latest diagnostics arrived [s]."""
+        """Arrival time of the latest diagnostics on the steady clock [s]."""
         self._state_rates: deque[float] = deque(maxlen=_RATES)
         self.robot: RobotModel | None = None
         """The robot of the node; None if unknown."""
@@ -170,7 +170,7 @@ class Observer:
     @property
     def state_rate(self) -> float | None:
         """
-        Highest rate of joint states in the latest reports [Hz]; None before the second report.
+        Highest rate [Hz] of joint states in the latest reports; None before the second report.
 
         The rate in a single report is too low if the robot was not connected yet, or if this
         machine was suspended.

@@ -24,8 +24,8 @@ def apply_payload(node: Node, observer: Observer, link: str, payload: RigidBody)
     """
     Publish a payload in the frame of its link, and wait until the node uses it.
 
-    Raise a ConfigurationError if the node does not use the payload. The error quotes the last
-    warning in the log of the node.
+    Raise a ConfigurationError if the node does not use the payload within 10 s. The error quotes
+    the last warning in the log of the node.
     """
     mass, com, inertia = payload
     message = InertiaStamped(

@@ -21,7 +21,7 @@ _POLL = 0.02  # [s]
 
 class StateRows:
     """
-    Converts serialized joint states to rows of a CSV file with the joints seen by `note`.
+    Converts serialized joint states to CSV rows, with columns for the joints seen by `note`.
 
     A joint state may contain only some of the joints. Cells without a value are empty.
     """
@@ -29,7 +29,7 @@ class StateRows:
     def __init__(self) -> None:
         self._reader = JointStateReader()
         self.joints: dict[str, bool] = {}
-        """By joint name, whether the joint has had an effort."""
+        """For each joint name, whether an effort has arrived."""
 
     def note(self, data: bytes) -> None:
         """Note the joints of a joint state, and whether they have efforts."""
@@ -68,7 +68,7 @@ class JointStateRecorder:
         self._rows = StateRows()
         self._joints: tuple[str, ...] = ()  # with efforts
         self.count = 0
-        """Number of recorded states with an effort of the robot."""
+        """Number of recorded states that contain an effort of a joint passed to `wait`."""
         self.duration = 0.0
         """Duration of the recording [s]."""
 
@@ -80,9 +80,10 @@ class JointStateRecorder:
 
     def wait(self, joints: Sequence[str]) -> None:
         """
-        Wait until all joints of the node have been reported, or until a time limit.
+        Wait until joint states have arrived for all joints of the node, or until a time limit.
 
-        Raise a ConfigurationError if there are no joint states, or no efforts of `joints`.
+        Raise a ConfigurationError if a joint of the node is missing, or if no effort has arrived
+        for any of `joints`.
         """
         self._observer.on_joint_state = lambda data, _: self._rows.note(data)
         is_known, heard = False, math.inf
@@ -151,7 +152,7 @@ class JointStateRecorder:
         return bool(status and status.model and self._rows.joints.keys() >= {*status.model.joints})
 
     def _problem(self, joints: Sequence[str]) -> str:
-        """Return why nothing can be recorded, or an empty text."""
+        """Return why nothing can be recorded, or an empty string."""
         name, status, found = self._observer.name, self._observer.status, self._rows.joints
         if status is None:
             return (
@@ -159,7 +160,7 @@ class JointStateRecorder:
                 'be reached'
             )
         if not self.topic or status.model is None:
-            return f'{name} is {status.loop.state}, so it has no joint states: configure the node'
+            return f'{name} is {status.loop.state}, so it gets no joint states: configure the node'
         if not found:
             return (
                 f'no joint states on {self.topic} for {_PATIENCE:g} s: start the driver of the '
@@ -172,7 +173,7 @@ class JointStateRecorder:
             return f'no joint states of {", ".join(missing)} on {self.topic} for {_PATIENCE:g} s'
         if not any(found.get(joint) for joint in joints):
             return (
-                f'the joint states on {self.topic} have no efforts; let the driver publish '
-                'measured efforts, from which the payload is computed'
+                f'the joint states on {self.topic} have no efforts; configure the driver to '
+                'publish measured efforts, from which the payload is computed'
             )
         return ''

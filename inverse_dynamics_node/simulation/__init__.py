@@ -1,1 +1,1 @@
-"""MuJoCo in place of the robot hardware, and the demo."""
+"""The demo, and a simulated robot that replaces the robot hardware."""

@@ -35,7 +35,7 @@ COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of the same error
 
 class PositionDrive:
     """
-    A position controller that holds the joints, like the controller of the manufacturer.
+    A position controller that holds the joints, like the built-in controller of a real robot.
 
     With ``sways``, every joint moves slowly back and forth. The brakes of the robot must be open.
     """
@@ -51,7 +51,7 @@ class PositionDrive:
         self.take_over(0.0)
 
     def take_over(self, now: float) -> None:
-        """Start to brake at the time ``now`` [s], and hold the robot where it comes to rest."""
+        """Decelerate from the time ``now`` [s] on, and hold the robot where it comes to rest."""
         self.is_on = True
         self._start, self._began = self._robot.positions(), now
         self._speed = self._robot.velocities()
@@ -110,11 +110,11 @@ class HandOver:
     """
     Decides whether the position controller or the commands move a simulated robot.
 
-    The commands take over after they have arrived for ``release`` seconds and have stopped rising.
-    An earlier hand-over would drop the robot. The position controller ``drive`` takes over when
-    the commands stop, when `hold` is called, or when a joint becomes too fast. After a joint has
-    become too fast, commands are ignored until they pause. The brakes must be open. ``log`` is a
-    logger of rclpy or of Python.
+    The commands take over after they have arrived for ``release`` seconds and their efforts have
+    stopped rising. An earlier hand-over would drop the robot. The position controller ``drive``
+    takes over when the commands stop, when `hold` is called, or when a joint becomes too fast.
+    After a joint has become too fast, commands are ignored until they pause. The brakes must be
+    open. ``log`` is a logger of rclpy or of Python.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class HandOver:
             return True, 'the position controller holds the robot; commands are ignored'
         if self._has_fault:
             return False, f'commands are ignored until they pause for {SILENCE} s'
-        return True, 'the robot follows the commands as soon as they have stopped rising'
+        return True, 'the robot follows the commands as soon as their efforts stop rising'
 
     def command(self, command: Command, now: float) -> None:
         """Handle a complete and finite command that arrives at the time ``now`` [s]."""
@@ -167,7 +167,7 @@ class HandOver:
         return flow >= self._release and (steady or flow >= LONGEST)
 
     def advance(self, now: float, duration: float) -> None:
-        """Advance the robot from the time ``now`` by a duration [s]."""
+        """Advance the simulation from the time ``now`` by a duration [s]."""
         if now - self._last_command > SILENCE:
             self._handle_silence(now)
         steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
@@ -192,9 +192,10 @@ class HandOver:
             self._drive.stand_still(now)
             self._log.error(
                 f'{self._excess(speeds)}, so the position controller brakes the robot and holds '
-                'it. Check signs, units and payloads with inverse_dynamics watch. Commands are '
-                f'ignored until they pause for {SILENCE} s. To pause the commands, set dry_run of '
-                'the node to true. Then remove the cause, and set dry_run to false'
+                'it. Check signs, units and payloads with the command inverse_dynamics watch. '
+                f'Commands are ignored until they pause for {SILENCE} s. To pause the commands, '
+                'set the parameter dry_run of the inverse dynamics node to true. Then remove the '
+                'cause, and set dry_run to false'
             )
         self._drive.act(now)
         speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)
@@ -223,5 +224,5 @@ class HandOver:
             source = f'velocity limit {limit:.3g} {unit}'
         return (
             f"joint '{robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more than "
-            f'{self._bounds[i]:.3g} {unit} ({source} in the URDF)'
+            f'its bound of {self._bounds[i]:.3g} {unit} ({source} in the URDF)'
         )

@@ -1,4 +1,4 @@
-"""The conventions of robot drivers; doc/robots.md lists the sources."""
+"""The conventions of robot drivers, from the sources in doc/robots.md."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class Driver:
     """
     The conventions of a driver.
 
-    By default, efforts are in N m or N, and the robot adds no gravity.
+    By default, efforts are in N m or N, and the robot does not compensate gravity by itself.
     """
 
     form: Form = Form.EFFORTS
     adds_gravity: bool = False
-    """Whether the robot adds gravity, and nothing else, to the commanded efforts."""
+    """Whether the robot adds gravity efforts, and nothing else, to the commanded efforts."""
     measures_gravity: bool = True
-    """Whether the measured efforts contain gravity."""
+    """Whether the measured efforts include the gravity efforts."""
     command_unit: float = 1.0
     """Commanded value that produces 1 N m or 1 N."""
     measured_unit: float = 1.0
@@ -87,7 +87,8 @@ DRIVERS = {
 """
 The simulated drivers, by the names of their parameter files in ``config/robots``.
 
-``ur_torques`` is a newer version of ``ur`` with ``use_currents_as_efforts: false``.
+Only ``ur_torques`` has no file of its own. It is a newer version of ``ur`` with
+``use_currents_as_efforts: false``.
 """
 
 
@@ -104,7 +105,7 @@ class Command(NamedTuple):
 
 def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command:
     """
-    Convert a ROS message to a command for the commanded joints.
+    Convert a ROS message to a command for the given joints.
 
     `Driver.form` decides which type of message is expected. Raise a ValueError if a value is
     missing or not finite.
@@ -140,7 +141,7 @@ def _finite(values: Any, what: str) -> Floats:
 
 
 class Actuation:
-    """Applies commands and reports efforts with the conventions of a driver."""
+    """Applies commands and reports efforts according to the conventions of a driver."""
 
     def __init__(self, robot: MujocoRobot, driver: Driver) -> None:
         self.robot, self.driver = robot, driver
@@ -153,11 +154,11 @@ class Actuation:
         """The latest command, which `act` applies."""
 
     def with_gravity(self, efforts: Floats) -> Floats:
-        """Return the commanded efforts, shape (m,), with gravity if the robot adds gravity."""
+        """Return commanded efforts, shape (m,), plus gravity efforts if the robot adds them."""
         return efforts + self._gravity() if self.driver.adds_gravity else efforts
 
     def act(self) -> None:
-        """Apply the efforts of the latest command for the current state of the robot."""
+        """Apply the efforts that result from the latest command and the state of the robot."""
         efforts, positions, velocities = self.command
         efforts = self.with_gravity(efforts)
         if positions is not None and velocities is not None:
@@ -166,7 +167,7 @@ class Actuation:
         self.robot.command(efforts)
 
     def measured(self, efforts: Floats) -> Floats:
-        """Convert the efforts of ``robot.state_names`` to the values that the driver reports."""
+        """Convert efforts, ordered as ``robot.state_names``, to values that the driver reports."""
         measured = efforts * self.driver.measured_unit
         if not self.driver.measures_gravity:
             measured[self._state_index] -= self.driver.measured_unit * self._gravity()

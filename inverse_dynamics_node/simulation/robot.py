@@ -2,26 +2,26 @@
 The simulated robot as a ROS process: publishes ``joint_states`` and applies ``commands``.
 
 The robot behaves like an arm with joint_state_broadcaster and forward_command_controller. Joint
-states are sorted by name and published at a fixed rate. A command applies until the next complete,
-finite command.
+states are sorted by name and published at a fixed rate. A command applies until the next command
+that is complete and finite.
 
 Brakes hold the robot until commands have arrived for a while. A controller may therefore start
 late and ramp up its efforts without dropping the arm. The topic ``brakes`` reports whether the
 brakes are on. Open brakes stay open if the commands stop, but not if the sensors are lost.
 
-With ``--drive``, a position controller replaces the brakes. The joint states then contain the
-efforts of this controller. The commands take over after they have arrived for a while and have
-stopped rising. The controller takes over again when the commands stop, when a joint becomes too
-fast, or when the service ``~/hold`` is called. With ``--driver``, commands and measured efforts
-follow the conventions of a driver.
+With ``--drive``, a position controller replaces the brakes. While this controller holds the robot,
+the joint states contain the efforts of the controller. The commands take over after they have
+arrived for a while and their efforts have stopped rising. The controller takes over again when the
+commands stop, when a joint becomes too fast, or when the service ``~/hold`` is called. With
+``--driver``, commands and measured efforts follow the conventions of a driver.
 
-Four topics disturb the robot:
+Messages on four topics disturb the robot:
 
 - ``~/payload`` attaches a load to a link; a mass of 0 removes the load.
-- ``~/push`` applies a wrench to a link until the next message. The wrench is in the link frame,
-  about the origin of the frame.
-- ``~/tilt`` turns the base within 3 s. The message is a rotation vector relative to the level
-  base [rad].
+- ``~/push`` applies a wrench to a link until the next message for this link. The wrench is in the
+  link frame, about the origin of the frame.
+- ``~/tilt`` turns the base to a new attitude in 3 s. The attitude is a rotation vector [rad]
+  relative to the level base.
 - ``~/sensors`` simulates a loss of the encoders: false stops the joint states and applies the
   brakes, and true resumes the joint states.
 
@@ -258,8 +258,8 @@ def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], boo
     """
     Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
-    After a pause of the machine, the simulation catches up at twice the normal speed. A subscriber
-    that keeps only the latest state would miss states in a faster burst.
+    After a pause of the machine, the simulation catches up at twice the normal speed. At a higher
+    speed, a subscriber that keeps only the latest state would miss states.
     """
     period = 1.0 / rate
     due = time.monotonic()
@@ -341,7 +341,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         '--brake-release',
         type=float,
         default=1.5,
-        help='how long commands must arrive before the brakes open [s]',
+        help='time for which commands must arrive before the brakes open [s]',
     )
     parser.add_argument(
         '--friction',
@@ -369,7 +369,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         type=float,
         nargs='+',
         default=[0.0],
-        help='inertia of rotors and gears [kg m^2, kg]: one number, or one number per joint',
+        help='reflected inertia of rotors and gears [kg m^2, kg]: one number, or one per joint',
     )
     parser.add_argument(
         '--imu-orientation',

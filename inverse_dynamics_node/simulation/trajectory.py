@@ -1,8 +1,9 @@
 """
 A smooth reference motion that starts and ends at rest and stays within all limits.
 
-Each joint oscillates about its start position at a frequency of its own. A quintic polynomial
-fades the sine in and out, so that position, velocity and acceleration are continuous.
+Each joint oscillates about its start position, and adjacent joints have different frequencies. A
+quintic polynomial fades the sine in and out, so that position, velocity and acceleration are
+continuous.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Oscillation:
 
     def sample(self, time: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """
-        Return positions, velocities and accelerations at times since the start [s].
+        Return positions, velocities and accelerations ``time`` seconds after the start.
 
         The results have the shape (..., n) if ``time`` has the shape (...). The joints rest before
         and after the motion.
@@ -72,7 +73,7 @@ class Oscillation:
 
 
 def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and two derivatives."""
+    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and its first two derivatives."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return (
         x**3 * (10.0 + x * (6.0 * x - 15.0)),
@@ -87,8 +88,8 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
     Two joints are strongly coupled if they move nearly the same mass in the same way, like two
     wrist joints of a straight arm. If such joints turn in opposite directions, they move hardly
-    any mass, and every delay causes large errors. Raise a `SimulationError` if no joint can move,
-    or if the drives are too weak for all sampled poses.
+    any mass, and any control delay causes large errors. Raise a `SimulationError` if no joint
+    can move, or if the drives are too weak for all sampled poses.
     """
     if not robot.joint_names:
         raise SimulationError(f'robot {robot.name!r} has no joint that can move')
@@ -110,22 +111,22 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
 
 def with_unit_diagonal(inertia: Floats) -> Floats:
-    """Scale a mass matrix to a unit diagonal; strong coupling makes an eigenvalue small."""
+    """Scale a mass matrix to a unit diagonal; strong coupling then shows as a small eigenvalue."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
     return inertia * np.outer(scale, scale)
 
 
 def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     weak = [
-        f'joint {name!r} needs {abs(effort):.3g} of {limit:g} {"N" if slides else "N m"} against '
-        'gravity'
+        f'joint {name!r} needs {abs(effort):.3g} (limit: {limit:g}) {"N" if slides else "N m"} '
+        'against gravity'
         for name, slides, effort, limit in zip(
             robot.joint_names, robot.is_prismatic_joint, efforts, robot.effort_limits, strict=True
         )
         if abs(effort) > EFFORT_USED * limit
     ]
     return (
-        'the effort limits of the URDF are too small to hold and move the weight of the robot: in '
+        'the effort limits of the URDF are too small for the weight of the robot: in '
         f'the best of the sampled poses, {", ".join(weak)}. Write the limits from the data '
         'sheet into <limit effort>, and check the masses'
     )

@@ -19,7 +19,7 @@ def test_begins_with_a_verdict_and_draws_the_arm_on_request(tmp_path, capsys, si
         "Largest payload at link 'tool0': 3.44 kg."
     )
     assert rest.startswith("robot 'stanford'\n")
-    assert "at the origin of link 'tool0', at rest in every pose: 3.44 kg" in output
+    assert "can hold up to 3.44 kg at the origin of link 'tool0'" in output
     assert 'joint_5 reaches its limit first' in ' '.join(output.split())
     assert output.endswith('\nwritten: arm.png\n')
     width, height = size_of(tmp_path / 'arm.png')
@@ -63,9 +63,9 @@ def test_gravity_beyond_a_limit_is_a_warning(tmp_path, capsys):
     output = capsys.readouterr().out
     assert ' '.join(output.split()).startswith(
         'Usable, with 1 warning. Gravity takes at most 161% of an effort limit (joint_2). '
-        'The robot cannot hold itself in every pose. '
+        'In some poses, the robot cannot hold itself. '
     )
-    assert "joint 'joint_2': gravity takes 161% of its effort limit in the worst pose" in output
+    assert "joint 'joint_2': gravity takes 161% of the effort limit in the worst pose" in output
     assert 'none, because gravity alone exceeds a limit' in ' '.join(output.split())
 
 

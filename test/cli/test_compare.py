@@ -93,7 +93,7 @@ def test_finds_a_payload_and_nothing_once_it_is_passed(here, capsys):
     output = capsys.readouterr().out
     assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not have. ")
     assert '1 warning\n' in output
-    again = ' '.join(output.split()).split('To see the remaining difference, use ')[1].split()[:4]
+    again = ' '.join(output.split()).split('To continue the diagnosis, use ')[1].split()[:4]
     assert again[:3] == ['--link', 'tool0', '--payload']
     assert [float(x) for x in again[3].split(',')] == pytest.approx([1.2, 0, 0.03, 0.06], abs=0.01)
     assert compare('run', '--no-picture', '--strict', *again) == 0
@@ -298,7 +298,7 @@ def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
     assert main(['compare', str(urdf), 'run.csv', '--no-picture']) == 0
     output = ' '.join(capsys.readouterr().out.split())
     assert 'Ignored joints that the robot does not have: stranger.' in output
-    note = 'Mimic joints, whose efforts are part of the efforts of the joints that they mimic'
+    note = 'Ignored mimic joints, whose efforts are part of those of the joints that they mimic'
     assert f'{note}: {names[-2]}.' in output
 
 

@@ -497,7 +497,7 @@ def test_joint_states_are_preferred_to_single_points(record, capsys):
     output = capsys.readouterr().out
     assert '  1 point in 0 s, 2 joints\n' in output
     assert 'topic /node/reference: trajectory 1 of 5' in output
-    assert 'a single point; other topics to select with --topic: /joint_states' in output
+    assert 'a single point; --topic can select other topics: /joint_states' in output
 
 
 def test_reads_the_longest_trajectory_and_lists_the_others(record):

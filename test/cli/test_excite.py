@@ -124,4 +124,4 @@ def test_invalid_arguments_are_rejected_with_a_reason(here, capsys, arguments, c
 def test_a_robot_without_joints_is_rejected(here, capsys):
     (here / 'rock.urdf').write_text(NOTHING_MOVES)
     assert main(['excite', 'rock.urdf']) == 1
-    assert "robot 'rock' has no joint that can move" in capsys.readouterr().err
+    assert "robot 'rock' has no joint to move" in capsys.readouterr().err

@@ -111,11 +111,11 @@ def test_references_of_other_sizes_or_joints_are_dropped_with_a_message(run_node
     node = run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.publish_accelerations([1.0, 2.0])
-    robot.wait_for_text(node, '2 accelerations, expected 6')
+    robot.wait_for_text(node, '2 acceleration values, expected 6')
     robot.publish_reference([*NAMES[:5], 'nose'], QDD)
     robot.wait_for_text(node, f'nose; expected {", ".join(NAMES)}')
     robot.publish_accelerations([])
-    robot.wait_for_text(node, '0 accelerations, expected 6')
+    robot.wait_for_text(node, '0 acceleration values, expected 6')
     robot.wait_for_command(HOLD)
 
 

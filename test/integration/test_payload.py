@@ -112,7 +112,7 @@ def test_joint_states_have_to_contain_efforts(run_node, robot, payload, ended, t
     robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
     code, output = ended(payload('run.csv', '--record', '1', '--node', '/inverse_dynamics'))
     assert code == 1
-    assert 'the joint states on /joint_states have no efforts; let the driver' in output
+    assert 'the joint states on /joint_states have no efforts; configure the driver' in output
     assert not [*tmp_path.iterdir()]
 
 

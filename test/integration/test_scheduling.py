@@ -154,7 +154,7 @@ def test_a_loop_that_never_sleeps_loses_the_priority_until_it_sleeps():
     applied, before, after, report, later, again = output.splitlines()
     assert 'SCHED_FIFO priority 50' in applied
     assert (before, after) == (f'{os.SCHED_FIFO}', f'{os.SCHED_OTHER} {os.SCHED_OTHER}')
-    assert '% of a CPU, expected at most 90 %; reduce the rates of messages' in report
+    assert '% of a CPU, expected at most 90 %; reduce the rates of incoming messages' in report
     assert report.endswith('WARN')
     assert later == f'{os.SCHED_FIFO} {os.SCHED_FIFO}'
     assert again == 'SCHED_FIFO again: the process needs less CPU time OK'

@@ -152,8 +152,8 @@ def test_gravity_that_a_driver_measures_but_adds_to_commands_is_named(run_node, 
         'the measured efforts contain gravity, but the commands do not; '
     )
     assert last['sentence'].endswith(
-        'Is this intended? If the driver adds gravity to the commands, set measured_gravity: '
-        'included in the node. Otherwise set include_gravity: true, or the arm will sink'
+        'Is this intended? If the driver adds gravity to the commands, set measured_gravity to '
+        'included in the node. Otherwise set include_gravity to true, or the arm will sink'
     )
     assert "link 'tool0' carries" not in last['sentence']  # the node knows the payload
     assert last['joints'][1]['measured'] == pytest.approx(held[1], abs=0.1)
@@ -302,7 +302,7 @@ def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
 
 def test_interrupt_ends_the_wait_for_a_node(robot, terminal):
     view = terminal()
-    robot.wait_until(lambda: 'waiting for it' in view.screen, 'wait for a node')
+    robot.wait_until(lambda: 'waiting for a node' in view.screen, 'wait for a node')
     code, took = view.press_ctrl_c(robot)
     assert code == 130
     assert took < SOON

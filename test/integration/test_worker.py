@@ -1,4 +1,4 @@
-"""Commands continue while the node does long work, which a process of its own does."""
+"""Commands continue while the node does long tasks in a process of its own."""
 
 import os
 from pathlib import Path
@@ -65,7 +65,7 @@ def test_commands_continue_during_long_work(run_node, robot):
 
     os.kill(worker, signal.SIGSTOP)  # any work takes forever now
     sent = robot.keep_publishing('inverse_dynamics/joint_trajectory_in', trajectory(2))
-    robot.wait_for_text(node, '10 trajectories are already waiting for their efforts')
+    robot.wait_for_text(node, '10 trajectories are already queued')
     robot.publish_again(STANFORD.read_text() + '<!-- new -->')
     robot.wait_for_text(node, 'received a new robot description')
     count = len(robot.commands)
@@ -152,7 +152,7 @@ def test_a_node_that_may_not_fork_uses_a_thread(run_node, robot):
     robot.publish_description(STANFORD.read_text())
     robot.publish_state(NAMES, Q, np.zeros(6))
     robot.wait_for_command(HOLD)
-    text = 'cannot create a process for long work ([Errno 11] Resource temporarily unavailable)'
+    text = 'cannot create a process for long tasks ([Errno 11] Resource temporarily unavailable)'
     assert text in node.output
     robot.publish_again(STANFORD.read_text().replace('"stanford"', '"next"'))
     robot.wait_for_text(node, "robot 'next'")

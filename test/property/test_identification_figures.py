@@ -44,7 +44,7 @@ def test_a_validation_without_efforts_of_a_joint_is_rejected():
     rng = np.random.default_rng(1)
     unseen = record(real, exciting_motion(robot, rng, 10.0, 50.0), rng)
     unseen.efforts[:, 1] = np.nan
-    with pytest.raises(RecordingError, match='has no efforts of elbow'):
+    with pytest.raises(RecordingError, match='but not of elbow'):
         identify_parameters(robot, [training], [unseen])
 
 
@@ -91,7 +91,7 @@ def test_a_common_factor_of_all_efforts_is_named():
     robot, _, training = planar_run(spread=0.03)
     more = training._replace(efforts=1.3 * training.efforts)
     (text, _), *_ = identify_parameters(robot, [more]).warnings
-    factor = float(re.search('all efforts of the links are (.*) times', text).group(1))
+    factor = float(re.search('all efforts due to the links are (.*) times', text).group(1))
     assert factor == pytest.approx(1.3, rel=0.03)
     assert identify_parameters(robot, [training]).warnings == ()
 

@@ -149,7 +149,7 @@ def test_the_error_names_joint_speed_and_bound_and_the_way_out():
     bench.run(0.5, lambda: efforts)
     (error,) = bench.log.errors
     assert error.startswith("joint 'roll' reaches ")
-    assert 'more than 1.68 rad/s (velocity limit 0.84 rad/s in the URDF)' in error
+    assert 'more than its bound of 1.68 rad/s (velocity limit 0.84 rad/s in the URDF)' in error
     assert 'Commands are ignored until they pause for 0.5 s. To pause the commands' in error
 
 

@@ -352,7 +352,8 @@ def test_joints_that_are_too_light_for_their_gains_are_described():
     assert text == (
         f'{NAMES[1]} may oscillate: with its inertia ({inertia:.2g}) and a delay of 5 ms, '
         f'impedance_damping should be at most {inertia / 0.005:.2g} and stiffness at most '
-        f'{inertia / 0.005**2:.2g}; lower these gains, or set armature to the inertia of the rotor'
+        f'{inertia / 0.005**2:.2g}; lower these gains, or set armature to the reflected inertia '
+        'of the rotor'
     )
     for share, is_light in ((0.99, False), (1.01, True)):
         stiffness = (0.0, share * inertia / 0.005**2)

@@ -141,14 +141,14 @@ def test_tilted_base_is_found(moves):
     assert agreement.cause is FaultKind.MOUNTING
     assert agreement.faults[0].values == pytest.approx(gravity, abs=0.3)
     assert 'the base is tilted by 2' in sentence(agreement)
-    assert 'Set gravity: [' in sentence(agreement)
+    assert 'Set gravity to [' in sentence(agreement)
 
 
 def test_gravity_that_the_driver_compensates_is_found():
     robot, samples = samples_of(act=lambda real: real.set_gravity((0.0, 0.0, 0.0)))
     agreement = diagnose_samples(samples, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.GRAVITY_COMPENSATED)
-    assert 'include_gravity: false' in sentence(agreement)
+    assert 'include_gravity to false' in sentence(agreement)
 
 
 def samples_with_gravity(name, moves, convention, has_gravity):
@@ -199,10 +199,10 @@ def test_gravity_that_contradicts_the_convention_is_named(name, convention, move
     kind = FaultKind.GRAVITY_MEASURED if has_gravity else FaultKind.GRAVITY_COMPENSATED
     assert [fault.kind for fault in agreement.faults] == [kind]
     headline, advice = {
-        (False, False): ('contain gravity, but the commands do not', 'measured_gravity: incl'),
-        (False, True): ('lack gravity, although measured_', 'measured_gravity: excluded'),
-        (True, False): ('contain gravity, although measured_', 'measured_gravity: as_commanded'),
-        (True, True): ('lack gravity', 'include_gravity: false'),
+        (False, False): ('contain gravity, but the commands do not', 'measured_gravity to incl'),
+        (False, True): ('lack gravity, although measured_', 'measured_gravity to excluded'),
+        (True, False): ('contain gravity, although measured_', 'measured_gravity to as_commanded'),
+        (True, True): ('lack gravity', 'include_gravity to false'),
     }[convention]
     assert sentence(agreement).startswith(f'the measured efforts {headline}')
     assert advice in sentence(agreement)
@@ -269,7 +269,7 @@ def test_zero_efforts_of_an_arm_held_by_brakes_cannot_be_compared():
     zero = samples._replace(measured=np.zeros_like(samples.measured))
     agreement = diagnose_samples(zero, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.ZERO_EFFORTS)
-    assert 'measured_gravity: excluded' in sentence(agreement)
+    assert 'measured_gravity to excluded' in sentence(agreement)
     assert 'brakes hold the arm' in sentence(agreement)
 
 
@@ -360,7 +360,7 @@ class TestSaturation:
         robot, samples = samples_of()
         agreement = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
         assert agreement.cause is FaultKind.SIGN
-        assert '; the effort is cut to its limit at joint_2. ' in sentence(agreement)
+        assert '; the effort of joint_2 is cut to its limit. ' in sentence(agreement)
 
 
 class TestFewJoints:
@@ -377,7 +377,7 @@ class TestFewJoints:
         assert sentence(agreement).startswith(
             'model and robot agree, but only 1 of 7 joints could be checked: '
         )
-        assert sentence(agreement).endswith('; move the arm to check the others')
+        assert sentence(agreement).endswith('; move the arm to check more joints')
 
     def test_the_others_are_not_measured(self):
         robot, samples = samples_of()

@@ -73,7 +73,7 @@ NAN = float('nan')
         ('set_payload', (LINK, 1.0, (0, 0, NAN)), 'com is'),
         ('set_payload', (LINK, 1.0, (0, 0, 0), (1, 1, 1)), r'inertia is \(1, 1, 1\), .* 3 by 3'),
         ('set_payload', (LINK, 1.0, (0, 0, 0), [[1], [1, 2]]), r'inertia is .* expected numbers'),
-        ('set_payload', (LINK, 1.0, (0, 0, 0), inertia(xy=NAN)), '3 by 3 finite numbers'),
+        ('set_payload', (LINK, 1.0, (0, 0, 0), inertia(xy=NAN)), 'finite 3 by 3 matrix'),
         ('set_payload', (LINK, 1.0, (0, 0, 0), inertia(xy=0.01)), 'expected a symmetric matrix'),
         ('set_payload', (LINK, 1.0, (0, 0, 0), inertia(zz=-0.01)), 'no negative principal moment'),
         (

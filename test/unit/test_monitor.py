@@ -240,7 +240,7 @@ def test_warns_of_a_loop_without_damping(mode):
     store_state(loop.collector, 0.0, JOINTS, [0.1, 0.2], [])
     status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
-    assert status.message == f'no velocities are reported, so {mode.value} has no damping'
+    assert status.message == f'joints reported without velocity have no damping in {mode.value}'
     assert status.values['without velocity'] == ', '.join(JOINTS)
     store_state(loop.collector, 0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     assert part(Monitor().report(0.0, loop, FINE), 'joint states').level is Level.OK
@@ -370,7 +370,7 @@ def test_subscribers_that_do_not_match_are_named(loop):
     status = part(Monitor().report(0.05, loop, around), 'efforts')
     assert status.level is Level.WARN
     assert status.message.startswith('the commands have no subscribers')
-    assert 'type or quality of service differs: /bridge' in status.message
+    assert 'another type or quality of service is used by /bridge' in status.message
 
 
 def test_only_the_first_of_many_nodes_are_named(loop):
@@ -443,7 +443,8 @@ def test_contradictory_positions_are_an_error_with_the_publishers(loop):
     status = part(Monitor().report(0.1, loop, around), 'joint states')
     assert status.level is Level.ERROR
     assert status.message == f'{words} (published by /robot, /joint_state_publisher)'
-    assert f'{words} (does more than one node publish this joint?)' in activity(0.1, loop)
+    question = 'does more than one node publish the state of this joint?'
+    assert f'{words} ({question})' in activity(0.1, loop)
 
 
 def test_no_command_is_late_without_a_period(loop):

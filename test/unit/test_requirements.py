@@ -108,7 +108,7 @@ def test_refining_does_not_change_a_fine_trajectory():
     assert points.tolist() == list(range(400))
     one = complete(Trajectory(('joint_1',), np.zeros(1), np.zeros((1, 1))))[0]
     assert refine(one, 0.01)[1].tolist() == [0]
-    with pytest.raises(TrajectoryError, match='no velocities or no accelerations'):
+    with pytest.raises(TrajectoryError, match='lacks velocities or accelerations'):
         refine(trajectory._replace(accelerations=None), 0.01)
 
 

@@ -233,8 +233,8 @@ class TestResults:
         ('errors', 'words'),
         [
             ((0.001, 0.2, 0.001), ''),
-            ((0.02, 0.2, 0.001), 'a joint was 20 mrad off before'),
-            ((0.001, 0.2, 0.02), 'a joint was 20 mrad off although'),
+            ((0.02, 0.2, 0.001), 'a joint was off by 20 mrad before'),
+            ((0.001, 0.2, 0.02), 'a joint was off by 20 mrad although'),
             ((0.001, 0.001, 0.001), '1.0 times better'),
         ],
     )
@@ -247,7 +247,7 @@ class TestResults:
 
     @pytest.mark.parametrize(
         ('scale', 'words'),
-        [(1.0, ''), (1.04, ''), (1.1, 'is 10.0% off'), (-1.0, 'is 200.0% off'), (0, '100')],
+        [(1.0, ''), (1.04, ''), (1.1, 'are 10.0% off'), (-1.0, 'are 200.0% off'), (0, '100')],
     )
     def test_push(self, setup, scale, words):
         link, force = setup.push()

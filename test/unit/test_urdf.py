@@ -388,10 +388,10 @@ ELEMENT_PROBLEMS = [
     ([('xyz="0 0 0.4"', 'xyz="0 0 nan"')], "origin xyz: 'nan' is not a finite decimal number"),
     ([('xyz="0 0 0.2"', 'xyz="0 1"')], "link 'l1' inertial origin xyz: expected 3 numbers, got 2"),
     # versions and quaternions
-    ([(NAME, NAME + ' version="2.0"')], "line 2: robot version '2.0' is not supported; expected"),
-    ([(NAME, NAME + ' version="1"')], "robot version '1' is not supported; expected one of 1.0"),
-    ([(NAME, NAME + ' version="1.1.0"')], "robot version '1.1.0' is not supported"),
-    ([(NAME, NAME + ' version=""')], "robot version '' is not supported"),
+    ([(NAME, NAME + ' version="2.0"')], "line 2: URDF version '2.0' is not supported; expected"),
+    ([(NAME, NAME + ' version="1"')], "URDF version '1' is not supported; expected one of 1.0"),
+    ([(NAME, NAME + ' version="1.1.0"')], "URDF version '1.1.0' is not supported"),
+    ([(NAME, NAME + ' version=""')], "URDF version '' is not supported"),
     (
         [(J2_ORIGIN, '<origin quat_xyzw="0 0 0 1"/>')],
         'line 27: joint \'j2\' origin: quat_xyzw needs <robot version="1.1"> instead of 1.0',
@@ -476,7 +476,7 @@ ELEMENT_PROBLEMS = [
     ),
     ([(L1_MASS, L1_MASS * 3)], "link 'l1' inertial: 3 <mass> elements, expected at most one"),
     ([(J2_AXIS, J2_AXIS * 2)], "joint 'j2': 2 <axis> elements, expected at most one"),
-    ([(L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9')], "com of 'j1' is not finite"),
+    ([(L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9')], "centre of mass of 'j1' is"),
 ]
 
 
@@ -685,7 +685,8 @@ WARNINGS = [
     ([('<?xml version="1.0"?>', '<?xml encoding="utf-8"?>')], 'invalid XML declaration'),
     (
         [(J2_AXIS, f'{J2_AXIS}<drake:rotor value="1"/>')],
-        'line 28: Namespace prefix drake on rotor is not defined; it is ignored',
+        'line 28: Namespace prefix drake on rotor is not defined; '
+        'the element or attribute is ignored',
     ),
     ([(J2_AXIS, '<axis xyz="0 0 1" my:unit="m"/>')], 'Namespace prefix my for unit on axis'),
     (
@@ -729,8 +730,8 @@ WARNINGS = [
         ],
         "link 'l2' inertial: radius of gyration is more than 10 m",
     ),
-    ([('rpy="0 0 0.5"', 'rpy="0 0 90"')], "joint 'j2' origin rpy: '0 0 90' is more than a turn"),
-    ([('rpy="0 0 0"', 'rpy="-90 0 0"')], "link 'l1' inertial origin rpy: '-90 0 0' is more than"),
+    ([('rpy="0 0 0.5"', 'rpy="0 0 90"')], "joint 'j2' origin rpy: '0 0 90' contains an angle"),
+    ([('rpy="0 0 0"', 'rpy="-90 0 0"')], "link 'l1' inertial origin rpy: '-90 0 0' contains an"),
     ([(J2_AXIS, '')], "line 24: joint 'j2': <axis> is missing; 1 0 0 is used"),
     ([(J2_AXIS, '<axis xyz="0 3 4"/>')], "line 28: joint 'j2': axis '0 3 4' has length 5"),
     ([('lower="-1" upper="1"', 'lower="-90" upper="90"')], 'angles are in radians'),

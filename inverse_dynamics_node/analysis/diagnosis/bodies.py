@@ -2,9 +2,10 @@
 Checks whether wrong inertial parameters of several links explain the measured efforts.
 
 The parameters of all links are fitted near their values in the model, together with friction,
-rotors and a delay. A payload, a mounting or an offset is added only if the fit becomes far more
-likely. Links that are fitted to one half of the recording predict the other half. A simpler
-explanation is rejected if this prediction is far better.
+rotor inertias and a delay of the efforts. A payload, a tilted base or an offset is added only if
+the fit becomes far more likely. Links that were fitted to one half of the recording predict the
+efforts of the other half. A simpler explanation is rejected if its errors are far larger than
+those of this prediction.
 """
 
 from __future__ import annotations
@@ -49,8 +50,9 @@ UNEXPLAINED = 0.01  # links are accurate if less than this fraction of the squar
 SMALL = 4e-4  # fitted links are ignored if another explanation leaves less than this fraction
 BETTER = 0.35
 """
-Fitted links must leave less than this fraction of the squares that another explanation leaves.
-The limit applies if all causes of the other explanation are still needed with the links fitted.
+Fitted links replace another explanation if they leave less than this fraction of its squared
+residuals. If fitted links make any cause in that explanation unnecessary, the fraction is 1
+instead.
 """
 CHANGING = 2.0  # links may leave this multiple of the squares that a tilting base leaves
 NEEDED = 10.0  # smallest increase of the log evidence for an additional cause
@@ -63,7 +65,7 @@ class Bodies(NamedTuple):
     """Fitted links, and their residuals in two-fold cross-validation."""
 
     robot_fit: RobotFit
-    """Explanation of the efforts that wrong links do not explain."""
+    """Friction and other causes that act in addition to wrong links."""
     change: Floats
     """Change of the inertial parameters of b links, shape (10 b,)."""
     before: list[float]
@@ -75,18 +77,18 @@ class Bodies(NamedTuple):
     delay_error: float
     """Standard error of the delay [s]."""
     unexplained: float
-    """Unexplained fraction of the squares, with less weight for segments with a bad fit."""
+    """Unexplained fraction of the squared efforts, with less weight for badly fitted segments."""
     unexplained_anywhere: float
-    """Unexplained fraction of the squares, with the same weight for all samples."""
+    """Unexplained fraction of the squared efforts, with the same weight for all samples."""
     are_wrong: bool
-    """Whether friction alone leaves more than the fraction `UNEXPLAINED` of the squares."""
+    """Whether the model and friction alone leave a fraction above `UNEXPLAINED` unexplained."""
     has_own_gravity: bool
-    """Whether the errors of the links also affect gravity in the measured efforts."""
+    """Whether wrong links also cause residuals in the gravity efforts."""
 
     def explain_more(
         self, data: RegressionData, before: RobotFit, fault: FaultInterval | None
     ) -> bool:
-        """Return whether wrong links explain far more than `before` or `fault`."""
+        """Return whether wrong links explain far more than `fault`; None means `before`."""
         if fault is None:
             left = data.unexplained(before)
         elif fault.kind is FaultKind.MOUNTING:
@@ -104,7 +106,7 @@ class Bodies(NamedTuple):
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
 
     def _confirms(self, before: RobotFit) -> bool:
-        """Return whether every cause in `before` is still needed with the links fitted."""
+        """Return whether every cause in `before` is still needed after the links are fitted."""
         candidate = before.candidate
         if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
             return False
@@ -278,7 +280,7 @@ class _Problem:
         return system[:-1, :-1], system[:-1, -1]
 
     def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
-        """Fit the unknowns in the mask `used`, with the most likely accuracy of the links."""
+        """Fit the unknowns in the mask `used`, with the most likely value of `SPREADS`."""
         from scipy.linalg import lu_factor, lu_solve
 
         products, vector = system[0][np.ix_(used, used)], system[1][used]
@@ -327,7 +329,7 @@ class _Problem:
         return np.asarray(trust / variance[self.joint] / self.dependence)
 
     def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
-        """Return a model with a fitted cause, or None if the cause is not credible."""
+        """Return a model with the fitted cause, or None if the cause is not credible."""
         data, solution, errors = self.data, fit.solution[cause], fit.errors[cause]
         if cause.start == self.gravity:
             gravity = data.gravity + solution
@@ -406,7 +408,7 @@ def _with(used: Booleans, *causes: slice) -> Booleans:
 
 
 def _without_doubtful_scale(fit: JointFit) -> JointFit:
-    """Remove a scale from a fit if wrong links may cause this scale."""
+    """Remove the fitted scale of an effort if wrong links may cause this scale."""
     if not LIKE_A_LOAD[0] < fit.scale < LIKE_A_LOAD[1]:
         return fit
     return fit._replace(sensor_fault=fit.sensor_fault._replace(is_scaled=False))

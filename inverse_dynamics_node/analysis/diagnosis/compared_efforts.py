@@ -31,9 +31,9 @@ class ComparedEfforts:
 
     The motion contains m joints, and `index` contains the indices of these joints in
     ``robot.joint_names``. Joints that were not recorded are assumed to rest at zero. The dynamics
-    include all known loads. An unknown load may act on `link`, or on the tips of the tree if
-    `link` is None. `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s].
-    The `convention` says whether measured and modelled efforts should contain gravity.
+    include all known loads. An unknown load may act on `link`, or on the tips of the kinematic
+    tree if `link` is None. `width` is the speed over which Coulomb friction is smoothed [rad/s or
+    m/s]. The `convention` says whether measured and modelled efforts should contain gravity.
     """
 
     def __init__(
@@ -78,9 +78,10 @@ class ComparedEfforts:
 
     def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
         """
-        Return a comparison without reversed axes and without a delay [s] of the efforts.
+        Return a comparison in which reversed axes and the delay of the efforts are corrected.
 
-        The signs, shape (m,), are -1 for reversed axes and 1 for other axes.
+        The signs, shape (m,), are -1 for reversed axes and 1 for other axes. The delay is in
+        seconds.
         """
         motion = self.motion
         efforts = signs * _later(motion, motion.efforts, delay)
@@ -94,10 +95,10 @@ class ComparedEfforts:
 
     def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
         """
-        Return the comparison with changed inertial parameters of b links.
+        Return a copy in which the inertial parameters of b links are changed.
 
-        `change` has the shape (10 b,). `has_own_gravity` says whether the change also affects
-        gravity in the measured efforts.
+        `change` has the shape (10 b,). `has_own_gravity` says whether wrong links also cause
+        residuals in the gravity efforts.
         """
         other = copy(self)
         other.rigid, other.gravity = self.rigid.copy(), self.gravity.copy()
@@ -132,13 +133,13 @@ class ComparedEfforts:
         return not obstacle(self.qd[:, c], self.period, self.width)
 
     def used(self, c: int) -> Booleans:
-        """Return a mask of the compared samples of a joint."""
+        """Return a mask of the samples in motion, or of all samples if the joint hardly moves."""
         if not self.moves(c):
             return np.ones(len(self.qd), dtype=bool)
         return is_moving(self.qd[:, c], self.width)
 
     def regression_data(self) -> RegressionData:
-        """Return the regression data of all joints with varying efforts."""
+        """Return the regression data of all joints whose measured efforts vary."""
         robot, some, varying = self.robot, self.fit_samples, self.varying
         joints = sample_joints(
             self.dynamics,
@@ -173,7 +174,7 @@ class ComparedEfforts:
         )
 
     def _noise(self) -> Floats:
-        """Return the noise of the residual of each joint, shape (c,) [N m or N]."""
+        """Return the standard deviation of the noise in each residual, shape (c,) [N m or N]."""
         some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
         inertia = self.dynamics.mass_matrix(self.states[0][some])
         modelled: Floats = inertia[:, :, self.all_index] * self.motion.qdd_noise
@@ -181,7 +182,7 @@ class ComparedEfforts:
         return np.hypot(np.sqrt(squares[self.index]), self.motion.effort_noise[self.compared])
 
     def _varying(self) -> list[int]:
-        """Return the indices of joints with varying measured efforts."""
+        """Return the indices of joints whose measured efforts vary."""
         # Compare with the largest effort of all joints, because an unloaded joint may have only
         # rounding errors.
         largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
@@ -222,7 +223,7 @@ def _later(motion: Motion, efforts: Floats, delay: float) -> Floats:
 def corrected_efforts(
     compared: ComparedEfforts, robot_fit: RobotFit, fault: FaultInterval | None = None
 ) -> tuple[Floats, Floats]:
-    """Return measured efforts without sensor faults, and efforts of the candidate model."""
+    """Return the corrected measured efforts, and the efforts of the candidate model."""
     measured = compared.measured / robot_fit.unit
     correction = added_efforts(compared, robot_fit)
     if fault is not None and fault.kind is FaultKind.PAYLOAD:
@@ -241,7 +242,7 @@ def corrected_efforts(
 
 
 def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
-    """Return the efforts that the candidate model adds to the model."""
+    """Return the efforts that the candidate model adds to those of the robot model."""
     candidate = robot_fit.candidate
     if candidate.kind is FaultKind.MOUNTING:
         turned = gravity_columns(compared.robot, compared.states[0]) @ np.array(candidate.solution)
@@ -260,7 +261,7 @@ def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
 
 
 def as_recorded(compared: ComparedEfforts, efforts: Floats, robot_fit: RobotFit) -> Floats:
-    """Apply all sensor faults to efforts."""
+    """Apply the wrong signs, units and order of the measured efforts to `efforts`."""
     recorded: Floats = robot_fit.unit * efforts
     for j, (c, fit) in enumerate(zip(compared.varying, robot_fit.fits, strict=True)):
         source = compared.varying[robot_fit.source[j]]
@@ -295,7 +296,7 @@ def fit_joints(
 
 
 def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
-    """Return the reasons for unknown friction, by index of the joint."""
+    """Return reasons why the friction of joints is unknown, keyed by joint index."""
     reasons = dict.fromkeys(compared.constant, 'the effort of this joint was not measured')
     is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
     for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
@@ -309,7 +310,7 @@ def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit width and load friction of each joint, given gear loads of shape (K, c)."""
+    """Fit smoothing widths and load-dependent friction, given gear loads of shape (K, c)."""
     return [
         fit_shape(
             fit,

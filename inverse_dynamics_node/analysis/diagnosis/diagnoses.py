@@ -37,7 +37,7 @@ class Axes(NamedTuple):
     """Signs of the axes, and the explanation of the efforts with these signs."""
 
     signs: Floats
-    """Signs of the axes, shape (n,), which are -1 for reversed axes and otherwise 1."""
+    """Signs of the axes, shape (n,): -1 for reversed axes, and 1 for other axes."""
     data: RegressionData
     robot_fit: RobotFit
 
@@ -73,7 +73,7 @@ def search_axes(
 
 
 def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
-    """Return the faults in an explanation, most important first."""
+    """Return the faults that an explanation contains, most important first."""
     found = _Faults(data, robot_fit, names)
     faults = (
         found.order(),
@@ -106,7 +106,7 @@ def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> Fault:
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
-    """Return a fault if axes are reversed, given the data as recorded."""
+    """Return a fault if axes are reversed. `data` contains the samples as recorded."""
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
@@ -123,7 +123,7 @@ def decreases(
     after: Sequence[float],
     source: Sequence[int] | None = None,
 ) -> tuple[Change, ...]:
-    """Return the joints whose RMS residual decreases, largest reduction first."""
+    """Return the joints whose RMS residual clearly decreases, largest reduction first."""
     found = []
     for j, samples in enumerate(data.joints):
         if after[j] < CHANGED * before[j]:
@@ -148,7 +148,7 @@ def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> 
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
-    """Return a fault for joints with constant efforts, if any joints are given."""
+    """Return one fault that lists all joints with constant efforts, if there are any."""
     if not values:
         return []
     return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]
@@ -164,7 +164,7 @@ class _Faults:
         self.is_motor_side = 2 * sum(fit.has_friction for fit in moving) > len(moving)
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
-        """Return the effects of one fault, given the fit without this fault."""
+        """Return the effects of correcting one fault, given the fit without the correction."""
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
         return decreases(self.data, self.names, before, after, self.robot_fit.source)
 

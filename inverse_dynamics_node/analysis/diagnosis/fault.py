@@ -76,10 +76,10 @@ class Fault(NamedTuple):
     """
     Fitted values of the fault.
 
-    Signs, scales and units are factors. Offsets and constant efforts are in N m or N. Rotor
-    inertias are in kg m^2 or kg. A payload has a mass [kg] and a centre of mass [m], with NaN for
-    unknown coordinates. A mounting has the components of gravity in the frame of the base link
-    [m/s^2]. A delay is in seconds.
+    For wrong signs, scales and units, the values are factors. Offsets and constant efforts are in
+    N m or N. Rotor inertias are in kg m^2 or kg. The values of a payload are the mass [kg] and the
+    coordinates of the centre of mass [m]. Unknown coordinates are NaN. The values of a mounting
+    are the components of gravity in the frame of the base link [m/s^2]. A delay is in seconds.
     """
     changes: tuple[Change, ...] = ()
     """Effects of the correction on the joints, largest reduction of the residual first."""
@@ -90,15 +90,15 @@ class Fault(NamedTuple):
     link: str = ''
     """Link that carries the payload."""
     sources: tuple[str, ...] = ()
-    """For a wrong order, the names under which the efforts of ``joints`` were recorded."""
+    """For the kind `ORDER`, the names under which the efforts of ``joints`` were recorded."""
     unknown: tuple[str, ...] = ()
-    """Joints with an unknown unit because friction dominates the effort."""
+    """Joints whose unit is unknown because friction dominates the effort."""
     is_every_joint: bool = False
-    """Whether all joints have the fault, except joints that show only friction."""
+    """Whether all joints that show more than friction have the fault."""
     is_motor_side: bool = False
     """Whether the efforts contain the friction of the gears, as motor currents do."""
     is_commanded: bool = True
-    """Whether commanded efforts contain gravity."""
+    """Whether commanded efforts should contain gravity."""
     interval: tuple[float, float] | None = None
     """Start and end of a temporary fault [s], or None for a permanent fault."""
 

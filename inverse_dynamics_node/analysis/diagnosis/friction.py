@@ -2,8 +2,8 @@
 Fits damping, Coulomb friction and an offset to the residual efforts of one joint.
 
 `fit_friction` ignores samples near zero speed, because dry friction can have any value there.
-`fit_shape` fits the width of the Coulomb step and friction that grows with the load. The result of
-`fit_shape` is accepted only if the squared residual becomes clearly smaller.
+`fit_shape` also fits the speed over which Coulomb friction is smoothed, and friction that grows
+with the load. This fit is accepted only if it clearly reduces the squared residual.
 """
 
 from __future__ import annotations
@@ -28,7 +28,11 @@ BLOCKS = 12  # largest number of blocks for the estimate of standard errors
 
 
 class FrictionFit(NamedTuple):
-    """Friction and offset of a joint: ``damping * qd + coulomb * tanh(qd / width) + offset``."""
+    """
+    Friction and offset of a joint.
+
+    The effort is ``damping * qd + (coulomb + load_friction * load) * tanh(qd / width) + offset``.
+    """
 
     damping: float
     """Damping [N m s/rad or N s/m], or 0 if unknown."""
@@ -45,7 +49,7 @@ class FrictionFit(NamedTuple):
     width: float = math.nan
     """Speed over which Coulomb friction is smoothed [rad/s or m/s], or NaN if not fitted."""
     load_friction: float = 0.0
-    """Additional Coulomb friction per unit of the effort that moves the links."""
+    """Additional Coulomb friction per unit of ``load``, the size of the effort on the links."""
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
@@ -53,12 +57,12 @@ class FrictionFit(NamedTuple):
         return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
 
     def friction(self, qd: Floats, direction: Floats) -> Floats:
-        """Return damping and Coulomb friction at the given velocities and smoothed directions."""
+        """Return viscous plus Coulomb friction for given velocities and smoothed directions."""
         return self.damping * qd + self.coulomb * direction
 
     @property
     def has_shape(self) -> bool:
-        """Whether a width or a load friction was fitted."""
+        """Whether the width and the load friction were fitted."""
         return math.isfinite(self.width)
 
 
@@ -68,7 +72,7 @@ def is_moving(qd: Floats, width: float) -> Booleans:
 
 
 def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST_MOVING) -> str:
-    """Return why a joint did not move enough in both directions, or an empty string."""
+    """Return why a joint did not move fast and long enough in each direction, or '' if it did."""
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
@@ -86,7 +90,7 @@ def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST
 
 
 def obstacle(qd: Floats, period: float, width: float) -> str:
-    """Return why a motion does not reveal friction, or an empty string."""
+    """Return why a motion does not reveal friction, or '' if it does."""
     reason = lacks_reversal(qd, period, width)
     if reason:
         return reason
@@ -109,7 +113,7 @@ def fit_friction(
     width: float,
 ) -> FrictionFit:
     """
-    Fit nonnegative friction and an offset to the residual efforts of one joint.
+    Fit nonnegative friction coefficients and an offset to the residual efforts of one joint.
 
     `direction` is ``tanh(qd / width)``, smoothed like the measured efforts. `period` is the
     sampling period [s], and `window` is the length of the smoothing window [samples].
@@ -140,11 +144,12 @@ def fit_shape(
     """
     Fit the smoothing width and the load friction to all K samples of a joint.
 
-    `fit` has the smoothing width `width` [rad/s or m/s]. Return `fit` unless another width or load
-    friction clearly reduces the squared residual. `residual`, shape (K,), is the measured effort
-    minus the modelled effort without friction [N m or N]. `load`, shape (K,), is the magnitude of
-    the modelled effort without friction and rotor [N m or N]. `smooth` smooths columns, shape
-    (K, c), like the measured efforts. `window` is the length of the smoothing window [samples].
+    `fit` was made with the smoothing width `width` [rad/s or m/s]. Return `fit` unless another
+    width or a load friction clearly reduces the squared residual. `residual`, shape (K,), is the
+    measured effort minus the modelled effort without friction [N m or N]. `load`, shape (K,), is
+    the magnitude of the modelled effort without friction and rotor effort [N m or N]. `smooth` is
+    the filter that was applied to the measured efforts, and accepts columns of shape (K, c).
+    `window` is the length of the smoothing window [samples].
     """
     if fit.unknown_because:
         return fit
@@ -176,10 +181,11 @@ def standard_errors(
     features: Floats, residual: Floats, moving: Booleans, window: int
 ) -> tuple[float, float, float]:
     """
-    Estimate standard errors from the differences between blocks of the recording.
+    Estimate the standard errors of damping, Coulomb friction and offset.
 
-    The formula for independent samples would give far too small errors, because smoothed samples
-    and model errors are not independent.
+    The estimate uses the differences between blocks of the recording. The formula for independent
+    samples would give errors that are far too small, because smoothed samples and model errors are
+    not independent.
     """
     blocks = int(min(BLOCKS, max(2, len(moving) // (2 * window))))
     block = (np.flatnonzero(moving) * blocks) // len(moving)

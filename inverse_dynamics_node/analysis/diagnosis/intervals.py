@@ -1,9 +1,9 @@
 """
-Finds causes that act only during an interval of a recording: a load, a push or a tilting base.
+Finds faults that act only during an interval of a recording: a load, a push or a tilting base.
 
-Outside the interval, the model with fitted friction, rotor inertias and offsets must explain the
-efforts. Inside the interval, a payload or an external force explains the residual. A tilting base
-is found by a fit of gravity at several times, called knots.
+For a load or a push, the model with fitted friction, rotor inertias and offsets must explain the
+efforts outside the interval. Inside the interval, a payload or an external force explains the
+residual. To find a tilting base, gravity is fitted at several times, called knots.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ STRENGTH = 0.25  # largest relative change of the magnitude of gravity
 
 
 class FaultInterval(NamedTuple):
-    """A cause that acts only during an interval of a recording."""
+    """A fault that acts only during an interval of a recording."""
 
     kind: FaultKind
     """Payload, external force or mounting."""
     interval: tuple[float, float]
     """Start and end of the interval [s]."""
     outside: RobotFit
-    """Explanation of ``data``."""
+    """Fit to the samples in ``data``."""
     data: RegressionData
-    """Samples outside the interval for an external force, and all samples for other kinds."""
+    """All samples or, if the kind is an external force, only those outside the interval."""
     joints: tuple[int, ...] = ()
     """Indices of the joints on which an external force acts."""
     knots: Floats = np.zeros(0)
@@ -81,9 +81,9 @@ def span(data: RegressionData) -> tuple[float, float]:
 
 def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
     """
-    Find a cause that acts only during an interval of the recording.
+    Find a fault that acts only during an interval of the recording.
 
-    Return None unless the cause explains far more than `robot_fit`.
+    Return None unless the fault explains far more of the efforts than `robot_fit` does.
     """
     # A permanent candidate explains a temporary load or tilt in part.
     is_nominal = robot_fit.candidate.kind is None
@@ -142,7 +142,7 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
 def _mean_squares(
     data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mean squares inside and outside each interval, and numbers of samples inside."""
+    """Return mean squared residuals inside and outside each interval, and sample counts inside."""
     columns = data.joints[j].columns
     target = columns[:, data.first_measured + j] - columns[:, MODEL]
     features = np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
@@ -169,7 +169,7 @@ def _mean_squares(
 def _load(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return the interval of a carried load, or None if no load explains the efforts."""
+    """Fit a temporary load and its interval, or return None if no load explains the efforts."""
     best: FaultInterval | None = None
     for _ in range(REFINEMENTS):
         loaded = with_loads_inside(data, interval)
@@ -209,7 +209,7 @@ def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
 def _force(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return the interval of an external force, or None if no force is clear."""
+    """Find the joints on which an external force acts, or return None if none is evident."""
     unexplained = data.unexplained(robot_fit)
     outside = data.restricted(interval, is_inside=False)
     if outside.is_too_short or interval[1] - interval[0] > LONGEST_FORCE * data.duration:
@@ -238,7 +238,7 @@ def _force(
 
 
 def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> RegressionData:
-    """Return samples in which loads act only inside an interval."""
+    """Return a copy in which the columns for loads are zero outside an interval."""
     joints = []
     for samples in data.joints:
         columns = samples.columns.copy()
@@ -249,7 +249,7 @@ def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> Re
 
 
 def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionData:
-    """Subtract the fitted friction, rotors and offsets from the measured efforts."""
+    """Subtract the fitted friction, rotor efforts and offsets from the measured efforts."""
     joints = []
     for j, (samples, fit) in enumerate(zip(data.joints, robot_fit.fits, strict=True)):
         columns = samples.columns.copy()
@@ -281,7 +281,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
 
 
 def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
-    """Fit gravity at the knots, and return None unless the base clearly tilts."""
+    """Find the interval in which the base is tilted, or return None if no tilt is evident."""
     strength = float(np.linalg.norm(data.gravity))
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if strength == 0.0 or not (data.has_gravity and moving):
@@ -309,7 +309,7 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
 
 
 def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tuple[Floats, float]:
-    """Return gravity at the knots, and the unexplained fraction of the squares."""
+    """Return gravity at the knots, and the unexplained fraction of the squared efforts."""
     count = len(knots)
     matrices, targets, remaining, floors, squares = [], [], [], [], []
     for position, j in enumerate(moving):

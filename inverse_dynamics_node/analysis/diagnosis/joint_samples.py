@@ -1,9 +1,9 @@
 """
 Reduces the samples of a joint to a triangular factor, so that fits are fast.
 
-A *sensor fault* is a wrong sign, a wrong scale, a missing rotor inertia or an offset of the
-effort of a joint. The *floor* of a joint is the fraction of the squared effort that needs no
-explanation, because model errors and noise have this size.
+A *sensor fault* of a joint is a wrong sign, a wrong scale or an offset of the measured effort, or
+a rotor inertia that the model lacks. The *floor* of a joint is the fraction of the squared effort
+that needs no explanation, because model errors and noise have this size.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, gravity_columns, payload_columns
 
 PARAMETER_COST = math.log(2.0)
-"""Cost of a parameter. A parameter is accepted only if the squared residual is halved."""
+"""Cost of a parameter. A parameter must at least halve the squared residual."""
 FLOOR = 0.03  # accuracy of models, as a fraction of a joint's RMS effort
 NOISE_FLOOR = 2.0  # RMS residuals below this multiple of the noise need no explanation
 SAME_SCALE = (0.8, 1.25)  # factors in this range are model errors, not another unit
@@ -32,10 +32,10 @@ FRICTION = 0.03  # Coulomb friction above this fraction of a joint's RMS effort 
 MIN_VARIATION = 0.1  # a factor is fitted if the modelled effort varies by more than this fraction
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
 """
-Columns of joint samples. `WEIGHT` is the first of three columns with the efforts per 1 m/s^2 of
-gravity along x, y and z. `DIRECTION` is the smoothed direction of motion, and `ONE` is a column of
-ones. `LOADS` is the first column with efforts of loads. The last columns are the measured efforts
-of all joints.
+Column indices of joint samples. `WEIGHT` is the first of three columns with the efforts per
+1 m/s^2 of gravity along x, y and z. `DIRECTION` is the smoothed direction of motion, and `ONE` is
+a column of ones. `LOADS` is the first column for payloads. The last columns are the measured
+efforts of all joints.
 """
 
 
@@ -45,12 +45,12 @@ class SensorFault(NamedTuple):
     is_swapped: bool = False
     is_scaled: bool = False
     has_rotor: bool = False
-    """Whether the joint moves a rotor inertia that the model lacks."""
+    """Whether the model lacks the rotor inertia of the joint."""
     has_offset: bool = False
 
     @property
     def parameters(self) -> int:
-        """Number of parameters. A wrong scale has two, because wrong scales are rare."""
+        """Number of parameters. A wrong scale is counted twice, because wrong scales are rare."""
         return sum(self) + self.is_scaled
 
     @property
@@ -97,7 +97,7 @@ class JointFit(NamedTuple):
 def unexplained_fraction(
     remaining: Sequence[float], squares: Sequence[float], is_prismatic: Sequence[bool]
 ) -> float:
-    """Return the remaining fraction of the squared efforts, averaged over both joint types."""
+    """Return the unexplained fraction of the squared efforts, averaged over both joint types."""
     left, whole = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
     for part, square, kind in zip(remaining, squares, is_prismatic, strict=True):
         left[kind] += part
@@ -131,13 +131,13 @@ class JointSamples:
 
     @property
     def shows_scale(self) -> bool:
-        """Whether the modelled effort varies enough to fit a factor to this joint alone."""
+        """Whether the modelled effort varies enough to fit a scale to this joint alone."""
         mean = float(self.triangle[:, MODEL] @ self.triangle[:, ONE])
         variance = float(self.squares[MODEL]) - mean**2
         return self.moves or variance > MIN_VARIATION**2 * float(self.squares[MODEL])
 
     def without_friction(self, columns: Floats) -> Floats:
-        """Remove all that friction can explain from columns of the triangular factor."""
+        """Project the friction columns out of the given columns of the triangular factor."""
         if not self.moves:
             return columns
         Q = np.linalg.qr(self.triangle[:, [SPEED, DIRECTION]])[0]
@@ -151,9 +151,9 @@ class JointSamples:
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Divide the column `measured` by the unit, and fit friction and a sensor fault.
+        Divide the column `measured` by `unit`, and fit friction and `sensor_fault` to it.
 
-        The modelled effort is the sum of the first columns, multiplied by `weights`.
+        The modelled effort is the sum of the first columns, each multiplied by its weight.
         """
         R = self.triangle
         model = R[:, : len(weights)] @ weights
@@ -232,7 +232,7 @@ class JointSamples:
                         yield sensor_fault, least
 
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
-        """Return whether friction alone explains as much as a fit with this sign and scale."""
+        """Return whether a model-free fit shows that the scale or sign of `fit` is arbitrary."""
         fault = fit.sensor_fault
         unscaled = fault._replace(is_scaled=False)
         if fault.is_scaled and self._needs_no_model(measured, unscaled, fit.remaining):
@@ -248,7 +248,7 @@ class JointSamples:
         remaining: float,
         tolerance: float = FLOOR**2,
     ) -> bool:
-        """Return whether a fit without the model leaves little more than `remaining`."""
+        """Return whether a model-free fit leaves little more than `remaining` unexplained."""
         without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance
 
@@ -271,11 +271,12 @@ def sample_joints(
     """
     Return the samples of c joints at K times, with columns for loads on the given links.
 
-    `joints` contains indices in ``robot.joint_names``. `measured`, `modelled` (before friction is
-    fitted) and `gravity` are efforts, and `direction` is the smoothed direction of motion, each of
-    shape (K, c). `used` contains a mask of the compared samples of each joint. `moves` says
-    whether the friction of each joint can be identified. `noise` is the standard deviation of the
-    noise of the efforts, shape (c,) [N m or N].
+    `joints` contains indices in ``robot.joint_names``. `measured`, `modelled` and `gravity` are
+    efforts, and `direction` is the smoothed direction of motion, each of shape (K, c). The
+    modelled efforts exclude the friction that will be fitted. `used` contains one mask per joint,
+    which selects the compared samples. `moves` says whether the friction of each joint can be
+    identified. `noise` is the standard deviation of the noise of the efforts, shape (c,)
+    [N m or N].
     """
     robot = dynamics.robot
     q, qd, qdd = states

@@ -1,10 +1,10 @@
 """
-Compares measured and modelled efforts of the last few seconds, for `watch`.
+Compares measured and modelled efforts of the last few seconds, for the command `watch`.
 
-The search for faults is the same as for recordings, except that delays and several wrong links are
-not considered. A few seconds of filtered samples cannot distinguish delays or wrong links from
-friction. The arm may be at rest. The modelled efforts come from the running node, and include
-payloads and friction.
+The search for faults is the same as for recordings, except that temporary faults, delays and wrong
+inertial parameters of several links are not considered. In a few seconds of filtered samples,
+delays and wrong inertial parameters look like friction. The arm need not move. The modelled
+efforts come from the running node, and include payloads and friction.
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ SUSPICIOUS = 0.15  # residuals above this fraction of the effort start the searc
 FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
 """
 Residuals are ignored below these fractions of the effort limit and of the largest modelled effort.
-The smaller of the two thresholds applies, because
-effort limits in URDFs are often placeholders.
+The smaller of the two thresholds applies, because effort limits in URDFs are often placeholders.
 """
 LEAST_FLOOR = 0.005  # accuracy of effort sensors, as a fraction of the limit
 REST_FACTOR = 2.5  # multiple of the floor for joints at rest, because dry friction may hold joints
@@ -53,14 +52,14 @@ FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
 MOST_STATES = 60
 """
-Largest number of states that the search uses. For 64 or more states, kernels may have to be
-compiled first, and the display would stop during compilation.
+Largest number of states that the search uses. For 64 or more states, code may have to be
+compiled first, and the display would freeze during compilation.
 """
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
 LEAST_DURATION = 1.0
 """
-Shortest duration of the samples [s]. Recordings must be longer. A short time is sufficient here,
-because more time reveals no more about an arm at rest.
+Shortest duration of the samples [s]. The limit for recordings is higher. A short time is
+sufficient here, because more time reveals no more about an arm at rest.
 """
 
 GRAVE = (
@@ -76,8 +75,9 @@ GRAVE = (
     FaultKind.MOUNTING,
 )
 """
-Faults that are reported even if residuals are small or joint states arrive slowly. Other faults
-are harmless if residuals are below `AGREEMENT`. Slow joint states can look like other faults.
+Faults that are reported even if residuals are small or the rate of joint states is low. All other
+faults are harmless if residuals are below `AGREEMENT`. A low rate can cause residuals that look
+like one of the other faults.
 """
 
 
@@ -97,7 +97,7 @@ class Outcome(enum.Enum):
 
 
 class Obstacle(enum.Enum):
-    """A reason not to go live, apart from faults."""
+    """A reason, apart from faults, to keep ``dry_run`` set to true."""
 
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'
@@ -124,13 +124,13 @@ class Size:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether model and robot agree, and why model and robot may differ."""
+    """Whether model and robot agree, and possible causes of a difference."""
 
     outcome: Outcome
     obstacle: Obstacle | None = None
-    """Reason not to go live, apart from faults."""
+    """Reason, apart from faults, to keep ``dry_run`` set to true."""
     faults: tuple[Fault, ...] = ()
-    """Faults, most important first. For `AT_REST`, friction may be the cause."""
+    """Faults, most important first. If the obstacle is `AT_REST`, the cause may be friction."""
     numbers: tuple[float, ...] = ()
     """
     For `SLOW_STATES`, the measured rate and the lowest sufficient rate [Hz]. For `FEW_JOINTS`, the
@@ -141,15 +141,15 @@ class Agreement:
     sizes: tuple[Size, ...] = ()
     """RMS efforts of revolute joints, then of prismatic joints."""
     checked: tuple[str, ...] = ()
-    """Joints with efforts that are large enough to detect a wrong sign."""
+    """Joints with efforts that are large enough to reveal a wrong sign."""
     unchecked: tuple[str, ...] = ()
-    """Joints with efforts that are too small to detect a wrong sign."""
+    """Joints with efforts that are too small to reveal a wrong sign."""
     unmeasured: tuple[str, ...] = ()
     """Commanded joints without measured efforts."""
     saturated: tuple[str, ...] = ()
     """Commanded joints with efforts at the effort limits."""
     is_moving: bool = True
-    """Whether a compared joint moved in the window."""
+    """Whether any compared joint moved in the window."""
     has_gravity: bool = True
     """Whether the modelled efforts contain gravity."""
 
@@ -197,7 +197,7 @@ class LiveWindow:
             self._rows.popleft()
 
     def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if the properties of the measured efforts have changed."""
+        """Drop all samples if a property of the measured efforts, such as the scale, changed."""
         if measured != self._measured:
             self._measured = measured
             self._times.clear()
@@ -223,10 +223,10 @@ def diagnose_samples(
     """
     Compare measured and modelled efforts.
 
-    The samples contain all joints in the order of the robot. Gravity in the frame of the root link
-    [m/s^2] is required even if the modelled efforts exclude gravity. By default, `limits` are the
-    effort limits of the robot. A payload consists of a link, a mass [kg], and the centre of mass
-    in the frame of the link [m].
+    The samples contain all joints, in the order of `robot`. `gravity`, in the frame of the base
+    link [m/s^2], is required even if the modelled efforts exclude gravity. By default, `limits`
+    are the effort limits of the robot. A payload consists of a link, a mass [kg], and the centre
+    of mass in the frame of the link [m].
     """
     limits = robot.effort_limits if limits is None else limits
     is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
@@ -301,7 +301,7 @@ class _Comparison:
         return common
 
     def _search(self) -> tuple[list[Fault], dict[int, float]]:
-        """Return the known faults, and the large remaining residuals by index of the joint."""
+        """Return the identified faults, and the residuals that are still large, by joint index."""
         constant = np.flatnonzero(self.silent).tolist()
         silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
         data = self._regression_data(np.ones(len(self.searched)))
@@ -320,7 +320,7 @@ class _Comparison:
         return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
 
     def _floor(self) -> Floats:
-        """Return the limits below which residuals are ignored, shape (c,) [N m or N]."""
+        """Return the thresholds below which residuals are ignored, shape (c,) [N m or N]."""
         modelled, largest = rms(self.modelled), np.zeros(len(self.names))
         if not self.convention.in_measured:
             # If the driver removes gravity, the errors of the driver's gravity model remain.
@@ -395,7 +395,7 @@ class _Comparison:
         return efforts
 
     def _exceeding(self, robot_fit: RobotFit, fraction: float) -> dict[int, float]:
-        """Return the residuals above a fraction of the effort, worst first [N m or N]."""
+        """Return the residuals [N m or N] above a fraction of the effort, worst first."""
         found = {}
         for c, fit in zip(self.searched.tolist(), robot_fit.fits, strict=True):
             residual = float(np.sqrt(fit.remaining) * rms(self.measured)[c])
@@ -452,7 +452,7 @@ acts mainly on two of the six joints of a UR arm. One checked joint says little 
 
 
 class StateRate(NamedTuple):
-    """Rates of joint states [Hz]."""
+    """Measured rate of joint states, and values that determine the lowest sufficient rate."""
 
     measured: float | None
     """Measured rate [Hz], or None if unknown."""
@@ -494,9 +494,10 @@ def check_agreement(
     Check whether model and robot agreed in the last few seconds.
 
     `reason` says why the node does not compute efforts, and is empty if the node computes efforts.
-    `samples` and `robot` are None if the robot is unknown. `saturated` contains the commanded
-    joints with efforts that reached the effort limits in the last few seconds. The other arguments
-    are those of `diagnose_samples`.
+    `samples` and `robot` are None if the robot is unknown. `commanded` contains all commanded
+    joints. `saturated` contains the commanded joints with efforts that reached the effort limits
+    in the last few seconds. `gravity`, `limits`, `convention` and `payloads` are the arguments of
+    `diagnose_samples`.
     """
     if reason:
         return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
@@ -537,7 +538,7 @@ def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSam
 def _completed(
     agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
 ) -> Agreement:
-    """Add unmeasured and saturated joints, and check that enough joints were checked."""
+    """Add unmeasured and saturated joints, and change the outcome if few joints were checked."""
     compared = (*agreement.checked, *agreement.unchecked)
     unmeasured = tuple(joint for joint in commanded if compared and joint not in compared)
     agreement = replace(agreement, saturated=tuple(saturated), unmeasured=unmeasured)

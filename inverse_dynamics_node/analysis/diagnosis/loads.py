@@ -61,7 +61,7 @@ def fit_payload(
     regressors: Floats, residual: Floats, sample_count: float
 ) -> tuple[Floats, Floats]:
     """
-    Fit a point mass to residual efforts of equal variance.
+    Fit a point mass to residual efforts that have equal variances.
 
     The regressors have the shape (rows, 10). Return mass [kg] and centre of mass [m], shape (4,),
     and their standard errors, shape (4,). `sample_count` is the number of independent samples.

@@ -59,13 +59,13 @@ class JointResidual:
     rms_residual: float
     """RMS of measured minus modelled effort."""
     rms_friction: float
-    """RMS residual with fitted friction only."""
+    """RMS residual if only friction is fitted."""
     rms_corrected: float
     """RMS residual with fitted friction, a fitted offset and all corrections of faults."""
     noise: float
     """
-    Standard deviation of the noise after smoothing, or NaN if the recorded efforts are filtered.
-    Residuals below the noise need no explanation.
+    Standard deviation of the noise after smoothing, or NaN if the efforts were filtered before the
+    recording. Residuals below the noise need no explanation.
     """
     scale: float
     """Slope of the line ``measured = scale * modelled + offset``, fitted by least squares."""
@@ -95,25 +95,25 @@ class ComparisonResult:
     motion: Motion
     """The motion of all recorded joints."""
     compared: tuple[int, ...]
-    """Indices in the motion of the c joints with a measured effort."""
+    """Indices in ``motion.joint_names`` of the c joints with measured efforts."""
     joints: tuple[JointResidual, ...]
     """Residuals of the compared joints."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
-    """Modelled efforts with the friction of the dynamics, shape (K, c) [N m or N]."""
+    """Efforts of the uncorrected model, including its friction, shape (K, c) [N m or N]."""
     corrected: Floats
-    """Modelled efforts with friction and the effects of all faults, shape (K, c) [N m or N]."""
+    """Modelled efforts with fitted friction and effects of all faults, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
     """Faults that explain the difference, most important first."""
     width: float
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     is_too_short: bool
-    """Whether there are too few samples to diagnose a difference."""
+    """Whether the recording is too short to diagnose a difference."""
     moving: tuple[int, ...]
     """
-    Indices of moving joints in ``joints``. If no joint moved, all joints with varying efforts are
-    listed.
+    Indices in ``joints`` of the joints that moved. If no joint moved, all joints with varying
+    efforts are listed.
     """
 
     @property
@@ -145,10 +145,11 @@ def diagnose_recording(
     Compare a recording with the robot model.
 
     The recording may contain any joints of the robot, in any order. Joints that were not recorded
-    are assumed to rest at zero. The dynamics include all known loads. An unknown load may act on
-    `link`, or on the tips of the tree if `link` is None. `width` is the speed over which Coulomb
-    friction is smoothed [rad/s or m/s]. If `width` is None, the width of each joint is fitted if
-    possible. The `convention` says whether measured efforts should contain gravity.
+    are assumed to rest at zero. `dynamics` must include all known loads. An unknown load is
+    searched for on `link`, or on the links from `tip_links()` if `link` is None. `width` is the
+    speed over which Coulomb friction is smoothed [rad/s or m/s]. If `width` is None, the width of
+    each joint is fitted if possible. The `convention` says whether measured efforts should contain
+    gravity.
 
     Raise RecordingError if the robot lacks a recorded joint or the recording is not usable. Raise
     ConfigurationError if the link does not exist.
@@ -219,19 +220,19 @@ class _Found(NamedTuple):
     """The explanation of a recording."""
 
     compared: ComparedEfforts
-    """Efforts without reversed axes and without the delay."""
+    """Efforts after reversed axes and the delay were corrected."""
     data: RegressionData
     robot_fit: RobotFit
     faults: tuple[Fault, ...]
     signs: Floats
-    """Signs of the axes of the motion, shape (m,), which are -1 for reversed axes."""
+    """Signs of the joint axes, shape (m,): -1 for reversed axes, and 1 for other axes."""
     delay: float = 0.0
     """Delay of the efforts [s]."""
     interval: FaultInterval | None = None
 
 
 def _search(recorded: ComparedEfforts) -> _Found:
-    """Explain the recorded efforts."""
+    """Find faults that explain the recorded efforts."""
     motion, names = recorded.motion, [recorded.names[c] for c in recorded.varying]
     constant = {recorded.names[c]: float(recorded.measured[0, c]) for c in recorded.constant}
     silent = diagnose_constant(constant)
@@ -267,7 +268,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
 def _confirmed(
     undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
 ) -> Axes:
-    """Return `reversed_` if reversed axes clearly improve a fit of all links, else `recorded`."""
+    """Return `reversed_` if it clearly improves a fit of inertial parameters, else `recorded`."""
     left = []
     for each in (reversed_, recorded):
         bodies = fit_bodies(undistorted(each.signs), each.data, each.robot_fit)
@@ -295,7 +296,7 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
 
 
 def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Return signs for all joints of the motion; joints without varying efforts have sign 1."""
+    """Return signs for all joints of the motion, with 1 for joints without varying efforts."""
     every = np.ones(len(compared.motion.joint_names))
     every[[compared.compared[c] for c in compared.varying]] = signs
     return every
@@ -304,7 +305,7 @@ def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
 def _beside_links(
     compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
 ) -> tuple[RegressionData, RobotFit, list[Fault], FaultInterval | None]:
-    """Explain the efforts, if necessary by wrong links or a temporary cause."""
+    """Explain the efforts, if necessary by wrong inertial parameters or a temporary cause."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
     bodies = fit_bodies(compared, data, robot_fit)
@@ -357,7 +358,11 @@ def _joint_residual(
     corrected: Floats,
     when: Booleans,
 ) -> JointResidual:
-    """Compare selected samples of one joint; `plain` is the friction fitted without faults."""
+    """
+    Compare the efforts of one joint in the samples that the mask `when` selects.
+
+    `plain` is the friction that was fitted without a correction of faults.
+    """
     measured, modelled = compared.measured[when, c], compared.modelled[when, c]
     rubbing = plain.friction(compared.qd[when, c], compared.direction[when, c])
     is_varying = c in compared.varying

@@ -1,9 +1,9 @@
 """
-Explains measured efforts with small residuals and few parameters.
+Finds an explanation of measured efforts that has few parameters and leaves small residuals.
 
-An *explanation* consists of a candidate model and a fit of each joint. A *candidate model* changes
-the efforts of the whole robot, for example by a payload. Fits of joints contain friction and
-sensor faults.
+An *explanation* consists of a candidate model and a fit of each joint. A *candidate model* is the
+model of the robot, possibly with a change such as a payload. The fit of a joint contains friction
+and sensor faults.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class CandidateModel(NamedTuple):
     parameters: int
     """Number of parameters that change the model."""
     has_gravity: bool = True
-    """Whether the efforts contain gravity."""
+    """Whether the modelled efforts contain gravity."""
     link: str = ''
     """Link that carries the payload."""
     solution: tuple[float, ...] = ()
@@ -111,12 +111,12 @@ class RegressionData:
     """
     The samples of n joints, and the search for an explanation of the measured efforts.
 
-    `links` contains the links that may carry a load, and the mass of the body of each link [kg].
-    `heaviest` is the largest mass of a load [kg]. `gravity` is the gravity of the model in the
-    frame of the base link [m/s^2]. The samples represent `duration` [s], and `sample_count`
-    samples of each joint are independent. Sensor faults and candidate models are searched for only
-    if the duration is at least `least_duration` [s]. The `convention` says whether measured and
-    modelled efforts should contain gravity.
+    The keys of `links` are the links that may carry a load. The values are the largest masses that
+    can be removed from these links [kg]. `heaviest` is an upper limit for the mass of a load [kg].
+    `gravity` is the gravity of the model in the frame of the base link [m/s^2]. The samples cover
+    `duration` seconds. Only `sample_count` samples of each joint are independent. Sensor faults
+    and candidate models are searched for only if the duration is at least `least_duration` [s].
+    The `convention` says whether measured and modelled efforts should contain gravity.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class RegressionData:
         self.nominal = CandidateModel(None, self._weights(), 0, has_gravity=self.has_gravity)
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
-        """Return the same data with the given samples, which represent `duration` [s]."""
+        """Return a copy with other samples, which cover `duration` seconds."""
         other = copy(self)
         other.joints, other.duration = tuple(joints), duration
         other.sample_count = self.sample_count * duration / self.duration
@@ -163,7 +163,7 @@ class RegressionData:
         return self.with_joints(joints, max(duration, 1e-9))
 
     def loads(self, k: int, start: RobotFit) -> list[RobotFit]:
-        """Return fits of a payload on link k, with the sensor faults of `start`."""
+        """Return successive fits of a payload on link k, with the sensor faults of `start`."""
         found: list[RobotFit] = []
         fits = start.fits
         for _ in range(MAX_ITERATIONS):
@@ -175,7 +175,7 @@ class RegressionData:
         return found
 
     def friction_only(self) -> RobotFit:
-        """Fit only friction to the unchanged model."""
+        """Fit only friction, and leave the model unchanged."""
         fits = tuple(
             samples.fit(self.nominal.weights, self.first_measured + j, NO_FAULT)
             for j, samples in enumerate(self.joints)
@@ -184,7 +184,7 @@ class RegressionData:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether there are too few samples for an explanation."""
+        """Whether the samples cover too short a time for an explanation."""
         return self.duration < self.least_duration
 
     @property
@@ -193,7 +193,7 @@ class RegressionData:
         return not any(samples.moves for samples in self.joints)
 
     def floor(self, robot_fit: RobotFit, j: int) -> float:
-        """Return the floor of a joint."""
+        """Return the fraction of a joint's squared effort that needs no explanation."""
         return self.joints[j].floor(self.first_measured + robot_fit.source[j])
 
     def square(self, robot_fit: RobotFit, j: int) -> float:
@@ -203,10 +203,10 @@ class RegressionData:
 
     def is_open(self, robot_fit: RobotFit, floors: float, most: float = math.inf) -> bool:
         """
-        Return whether the effort of any moving joint is not explained.
+        Return whether the effort of at least one moving joint is unexplained.
 
-        An effort is explained if the remaining fraction of the squares is at most a limit. The
-        limit is the smaller value of `most` and `floors` times the floor, but at least the floor.
+        An effort is explained if the remaining fraction of its square does not exceed a limit. The
+        limit is `floors` times the floor, or `most` if smaller, but at least the floor.
         """
         return any(
             samples.moves and fit.remaining > max(floor, min(floors * floor, most))
@@ -251,7 +251,7 @@ class RegressionData:
         return found + self._reordered()
 
     def _is_credible(self, robot_fit: RobotFit) -> bool:
-        """Return whether a candidate model is possible and explains enough by itself."""
+        """Return whether a candidate is possible and clearly better than the unchanged model."""
         candidate = robot_fit.candidate
         if candidate.kind is None:
             return True
@@ -279,7 +279,7 @@ class RegressionData:
         return unexplained_fraction(remaining, squares, kinds)
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether the fit leaves hardly any effort of gravity."""
+        """Return whether the fit explains nearly all of the gravity efforts."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -325,7 +325,7 @@ class RegressionData:
         return robot_fit._replace(candidate=candidate, fits=tuple(fits))
 
     def _common_unit(self, nominal: RobotFit) -> list[RobotFit]:
-        """Fit one unit to the efforts of all joints, including joints that hardly moved."""
+        """Return a fit with one unit for the efforts of all joints, if most scales are similar."""
         factors = [fit.scale for fit in nominal.fits if fit.sensor_fault.is_scaled]
         factors += self._factors_at_rest(nominal)
         middle = float(np.median(factors)) if factors else 1.0
@@ -337,7 +337,7 @@ class RegressionData:
         return [min(found, key=lambda each: each.cost)]
 
     def _factors_at_rest(self, nominal: RobotFit) -> list[float]:
-        """Return the factors of joints that do not reveal their unit on their own."""
+        """Return tentative scales of joints whose own data vary too little to reveal a scale."""
         factors = []
         for j, (samples, fit) in enumerate(zip(self.joints, nominal.fits, strict=True)):
             measured = self.first_measured + j
@@ -351,7 +351,7 @@ class RegressionData:
         return factors
 
     def _weights(self, gravity: float = 0.0) -> Floats:
-        """Return the weights of the model, with a multiple of its gravity added."""
+        """Return weights of columns: 1 for the model, and `gravity` for the gravity efforts."""
         weights = np.zeros(self.first_measured)
         weights[MODEL], weights[GRAVITY] = 1.0, gravity
         return weights
@@ -363,7 +363,7 @@ class RegressionData:
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
 
     def contradicts(self, candidate: CandidateModel) -> bool:
-        """Return whether candidate model and convention disagree on gravity."""
+        """Return whether the candidate model has gravity although it should not, or vice versa."""
         return candidate.has_gravity is not self.has_gravity
 
     def _fit_joints(self, candidate: CandidateModel, unit: float = 1.0) -> RobotFit:
@@ -378,7 +378,7 @@ class RegressionData:
         fit_candidate: Callable[[list[JointFit]], CandidateModel | None],
         fits: list[JointFit],
     ) -> list[RobotFit]:
-        """Fit the candidate model and the sensor faults of the joints in turn."""
+        """Fit the candidate model and the sensor faults of the joints alternately."""
         found: list[RobotFit] = []
         for _ in range(MAX_ITERATIONS):
             candidate = fit_candidate(fits)
@@ -412,7 +412,7 @@ class RegressionData:
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
     def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
-        """Fit gravity, and return None unless gravity is tilted."""
+        """Return the model with the fitted gravity, or None if gravity is not tilted."""
         if not self.has_gravity:
             return None
         rows = self._rows(fits, self._weights(-1.0))
@@ -423,7 +423,7 @@ class RegressionData:
         return self.mounted(gravity) if self.is_tilted(gravity) else None
 
     def is_tilted(self, gravity: Floats) -> bool:
-        """Return whether gravity differs from the model in direction, but not in magnitude."""
+        """Return whether gravity differs from that of the model in direction but not magnitude."""
         g, g_0 = np.linalg.norm(gravity), np.linalg.norm(self.gravity)
         # The mounting does not change the magnitude of gravity.
         if g_0 == 0.0 or abs(g / g_0 - 1.0) > STRENGTH:
@@ -431,7 +431,7 @@ class RegressionData:
         return bool(angle_between(gravity, self.gravity) > MIN_TILT)
 
     def mounted(self, gravity: Floats) -> CandidateModel:
-        """Return the model with this gravity in the frame of the base link [m/s^2]."""
+        """Return the model with the given gravity [m/s^2] in the frame of the base link."""
         weights = self._weights(-1.0)
         weights[WEIGHT : WEIGHT + 3] = gravity
         return CandidateModel(FaultKind.MOUNTING, weights, 3, solution=tuple(gravity.tolist()))
@@ -439,7 +439,7 @@ class RegressionData:
     def _payload(
         self, k: int, base: CandidateModel, fits: list[JointFit]
     ) -> CandidateModel | None:
-        """Fit a point mass on link k to the residual efforts of a base candidate model."""
+        """Fit a point mass on link k to the residual efforts of the candidate model `base`."""
         rows = self._rows(fits, base.weights)
         if rows is None:
             return None
@@ -472,7 +472,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Return a fit with exchanged efforts, if the exchange explains the efforts."""
+        """Return a fit with efforts exchanged between joints, if the exchange explains them."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights

@@ -1,9 +1,9 @@
 """
-Computes distances between links, to the floor and to boxes, with gradients.
+Computes distances between links, and from links to the floor and to boxes, with gradients.
 
 Capsules enclose the links. The floor and the boxes are called obstacles. A row is a pair of
-capsules, or a capsule and an obstacle. Each row has a minimum distance. If a distance is smaller,
-the difference is the missing distance.
+capsules, the end of a capsule and the floor, or a capsule and a box. Each row has a minimum
+distance. If the actual distance is smaller, the difference is called the missing distance.
 
 Neighbouring links, and links that touch in almost all sampled poses, are not checked. If two links
 are often near each other, points on their surfaces determine the minimum distances.
@@ -28,7 +28,7 @@ CLEARANCE = 0.02
 TOUCH = 0.005
 """Surfaces touch if their distance is smaller than this value [m]."""
 _ALWAYS = 0.01
-"""Links that are closer than this distance in almost all poses are not checked [m]."""
+"""Links are not checked if they are closer than this in almost all poses [m]."""
 _MANY, _ALL = 0.3, 0.95
 """Fractions of the poses that are called 'many' and 'almost all'."""
 _OFTEN = 0.02
@@ -36,13 +36,13 @@ _OFTEN = 0.02
 _MOST_LOOKS = 40
 """Largest number of poses in which the surfaces of two links are compared."""
 _UNSEEN = 0.005
-"""Subtracted from the smallest sampled distance if the surfaces are never close [m]."""
+"""If surfaces are never close, the minimum distance is the smallest one seen minus this [m]."""
 _ON_THE_WAY = 0.005
-"""If links are too close at the start of a path, they may approach by this distance [m]."""
+"""Links that are too close at the start of a path may approach each other by this value [m]."""
 _FAR = 0.3
-"""Larger distances are ignored [m]."""
+"""Distances are ignored if they exceed the minimum distance by more than this [m]."""
 _SCALE = 0.05
-"""Missing distance that has the penalty 1 [m]."""
+"""Shortfall from the minimum distance [m] that gives a violation of 1."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
 """Positions on a segment, 0 to 1, at which the distance to a box is computed."""
 _CHUNK = 200
@@ -66,14 +66,14 @@ class Contacts(NamedTuple):
     points: Floats
     """Nearest points on the axes of the capsules, shape (contacts, 2, 3) [m]."""
     normal: Floats
-    """Unit vectors from the second point to the first point, shape (contacts, 3)."""
+    """Unit vectors to the first capsule from the second or the obstacle, shape (contacts, 3)."""
 
 
 class Nearest(NamedTuple):
     """Smallest distance between two links, or between a link and an obstacle."""
 
     names: tuple[str, str]
-    """Name of a link, and name of another link, 'floor' or 'box'."""
+    """Name of a link, followed by 'floor', 'box' or the name of another link."""
     distance: float
     """Distance between surfaces or, if a surface is unknown, between capsules [m]."""
     pose: int
@@ -82,7 +82,7 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """The minimum distances that a robot must keep to itself and to obstacles."""
+    """The minimum distances that links must keep from each other and from obstacles."""
 
     robot: RobotModel
     capsules: Capsules
@@ -96,14 +96,15 @@ class Clearance:
     """
     Minimum distance of each row, shape (rows,) [m].
 
-    Pairs come first, then capsule ends with the floor, then capsules with each box.
+    The rows are the pairs, then all capsule ends against the floor, then, for each box, all
+    capsules against the box.
     """
     unchecked: tuple[str, ...] = ()
-    """Pairs that are too often close to be checked, such as 'wrist and floor'."""
+    """Pairs that are not checked because they are close too often, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
-        """The two bodies of each row, shape (rows, 2). Obstacles belong to the base."""
+        """Indices of the two bodies of each row, shape (rows, 2). Obstacles belong to the base."""
         body = self.capsules.body
         single = np.tile(body, 2 + len(self.boxes))
         outside = np.stack([single, np.zeros_like(single)], axis=1)
@@ -202,7 +203,7 @@ class Clearance:
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
-        """Return the gradient of weighted distances: the joint efforts of contact forces."""
+        """Return the gradient of the weighted distance sum, as joint efforts of contact forces."""
         robot, slopes = self.robot, np.zeros(q.shape)
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))
@@ -275,7 +276,7 @@ class Clearance:
         return all(len(self.capsules.surfaces[k]) for k in self.pairs[row])
 
     def names(self, row: int) -> tuple[str, str]:
-        """Return the name of a link, and the name of another link, 'floor' or 'box'."""
+        """Return the name of a link, followed by 'floor', 'box' or the name of another link."""
         p, c, names = len(self.pairs), len(self.capsules.body), self.capsules.names
         if row < p:
             first, second = self.pairs[row]
@@ -302,7 +303,7 @@ def find_clearance(
     boxes: Sequence[Floats] = (),
 ) -> Clearance:
     """
-    Find the minimum distances that a robot must keep to itself and to obstacles.
+    Determine the minimum distances that links must keep from each other and from obstacles.
 
     `poses` are random poses within the limits, shape (poses, joints) [rad or m]. `floor` is the
     height of the floor in the base frame [m]. `boxes` contains the lowest and highest corner of
@@ -347,10 +348,11 @@ def _needed(
     clearance: Clearance, poses: Floats, pose: Integers, row: Integers, distance: Floats
 ) -> dict[int, float]:
     """
-    Return the minimum distances of two bodies that are often near each other, by row [m].
+    Map the rows that belong to two given bodies to their minimum distances [m].
 
-    `pose`, `row` and `distance` describe the contacts of the two bodies. Rows that are not checked
-    have a minimum distance of -inf.
+    `pose`, `row` and `distance` describe contacts between the two bodies. Rows that are not
+    checked have a minimum distance of -inf. The result is empty if the bodies are rarely near each
+    other.
 
     """
     near_poses = np.unique(pose)
@@ -410,7 +412,7 @@ def _nearest_to_box(start: Floats, end: Floats, low: Floats, high: Floats) -> Fl
 
 
 def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return signed distances of points to a box, and directions away from the box."""
+    """Return signed distances from points to a box, and directions away from the box."""
     beyond = np.concatenate([low - points, points - high], axis=1)
     deepest = beyond.argmax(axis=1)
     inside = np.concatenate([-np.eye(3), np.eye(3)])[deepest]
@@ -423,7 +425,7 @@ def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _twice(points: Floats) -> Floats:
-    """Pair each point with itself, because an obstacle needs a point too."""
+    """Pair each point with itself, because a contact with an obstacle also has two points."""
     return np.stack([points, points], axis=1)
 
 

@@ -26,7 +26,7 @@ class FourierSeries:
     duration: float
     """Duration of the motion, equal to the period of the first harmonic [s]."""
     coefficients: Floats
-    """Factors of the functions in `basis`, shape (joints, 2 * harmonics - 1) [rad or m]."""
+    """Factors of the basis functions, shape (joints, 2 * harmonics - 1) [rad or m]."""
 
     @property
     def harmonics(self) -> int:
@@ -34,7 +34,7 @@ class FourierSeries:
         return (int(self.coefficients.shape[1]) + 1) // 2
 
     def sample(self, times: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations at times [s], shape (times, joints)."""
+        """Return positions, velocities and accelerations at `times` [s], shape (times, joints)."""
         q, qd, qdd = (
             part @ self.coefficients.T for part in basis(times, self.duration, self.harmonics)
         )
@@ -80,7 +80,7 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
 
 @cache
 def _combinations(harmonics: int) -> tuple[Floats, Floats]:
-    """Return combinations of sines and of cosines that start at rest, as columns."""
+    """Return sine and cosine coefficients. Each column gives a function that starts at rest."""
     orders = np.arange(1.0, harmonics + 1.0)
     # The division by the orders gives all combinations similar speeds.
     of_sines = _null_space(np.ones(harmonics)) / orders[:, np.newaxis]

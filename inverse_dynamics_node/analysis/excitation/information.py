@@ -3,13 +3,14 @@ Computes how accurately the efforts of a motion determine masses and friction.
 
 Efforts are linear in the unknowns: tau = Y(q, qd, qdd) pi + a qdd + d qd + c tanh(qd / w) + o.
 The vector pi contains the inertial parameters of the bodies. Each joint has an armature a, a
-damping d, a Coulomb friction c of width w, and an offset o. Efforts depend only on certain
-combinations of inertial parameters, the base parameters. One column of Y is used for each base
-parameter.
+damping d, a Coulomb friction c that is smoothed over the speed w, and an offset o. Efforts depend
+only on certain combinations of inertial parameters, called base parameters. One column of Y is
+used for each base parameter.
 
-The matrix W contains the columns of Y and of the joint terms, for all samples of a motion. Each
-row of W is divided by the noise of the effort. The information matrix is W^T W. The inverse of the
-information matrix is the covariance of the unknowns.
+The matrix W contains these columns of Y and the columns of a, d, c and o, for all samples of a
+motion. Each row of W belongs to one measured effort, and is divided by the standard deviation of
+its noise. The information matrix is W^T W. The inverse of the information matrix is the covariance
+of the unknowns.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from .limits import MotionLimits, random_states, States, whole_states
 
 OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
 WIDTH = 0.02
-"""Width of smoothed Coulomb friction, as a fraction of the largest speed."""
+"""Width w of smoothed Coulomb friction, as a fraction of the largest speed of the joint."""
 _SAMPLES = 400
-"""Number of random states that determine the base parameters."""
+"""Number of random states that are used to find the base parameters."""
 _STATES = 500
-"""Number of random states for the error of predicted efforts."""
+"""Number of random states at which the errors of predicted efforts are computed."""
 _GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
 """Indices of mass, first moments and moments of inertia among the parameters of a body."""
 
@@ -40,9 +41,10 @@ class Unknowns:
     The unknowns that the efforts of the moving joints can determine.
 
     `noise` is the standard deviation of the measured effort of each moving joint [N m or N].
-    `columns` contains the indices of the selected columns. There are ten columns for each body
-    except the base, and then one column per moving joint for each term in `OF_JOINT`. `scale`
-    contains the RMS of each selected column after division by the noise.
+    `columns` contains the indices of the columns that were selected as unknowns. The full matrix
+    has ten columns for each body except the base, followed by one column per moving joint for each
+    term in `OF_JOINT`. `scale` contains the RMS of each selected column after division by the
+    noise.
 
     """
 
@@ -61,7 +63,7 @@ class Unknowns:
         self.scale = sizes[self.columns]
 
     def weighted(self, states: States) -> Floats:
-        """Return columns divided by noise and scale, shape (states, moving joints, unknowns)."""
+        """Return the result of `of_efforts`, divided by noise and scale."""
         return self.of_efforts(states) / (self.noise[:, np.newaxis] * self.scale)
 
     def of_efforts(self, states: States) -> Floats:
@@ -76,11 +78,11 @@ class Unknowns:
 
     def weighted_sum(self, weights: Floats) -> Callable[[States], Floats]:
         """
-        Return a function that computes the sum of `weights` times `weighted` for each state.
+        Return a function that computes the sum of `weights * weighted(states)` for each state.
 
         `weights` has the shape (samples, moving joints, unknowns). The function accepts r states
-        per sample, in arrays of shape (r * samples, moving joints). The function sums over all
-        columns, because the selection of columns would take longer.
+        per sample, in arrays of shape (r * samples, moving joints). Columns that are not
+        selected get a weight of zero, because removing these columns would take longer.
 
         """
         k, m, _ = weights.shape
@@ -105,13 +107,18 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return the indices of body unknowns and of joint unknowns, with terms and joints."""
+        """
+        Return the indices of body unknowns and of joint unknowns.
+
+        Also returns the term and the joint of each joint unknown.
+
+        """
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
 
     def _drive_terms(self, states: States) -> Floats:
-        """Return efforts per unit of each drive term, shape (4, states, moving joints)."""
+        """Return efforts per unit of each term in `OF_JOINT`, shape (4, states, moving joints)."""
         step = np.tanh(states.qd / self.width)
         return np.stack([states.qdd, states.qd, step, np.ones_like(step)])
 
@@ -119,10 +126,10 @@ class Unknowns:
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
     """
-    Standard errors due to the assumed noise.
+    Standard errors of the unknowns due to the assumed noise.
 
-    If the efforts depend only on a combination of parameters, one parameter has the error of the
-    combination. The other parameters have the error NaN.
+    If the efforts depend only on a combination of parameters, the error of the combination is
+    assigned to one of these parameters. The errors of the others are NaN.
 
     """
 
@@ -137,7 +144,11 @@ class ExpectedErrors:
     body_names: tuple[str, ...]
     """Names of all bodies except the base."""
     of_bodies: Floats
-    """Largest error of mass [kg], first moments [kg m] and inertia [kg m^2], shape (bodies, 3)."""
+    """
+    Error of mass [kg], and largest errors of first moments [kg m] and inertia [kg m^2].
+
+    The shape is (bodies, 3).
+    """
     count: int
     """Number of unknowns."""
 

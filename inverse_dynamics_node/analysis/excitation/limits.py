@@ -2,7 +2,8 @@
 Collects the limits of a motion, and draws random states within the limits.
 
 Missing position and speed limits are replaced by assumed values. A missing effort limit remains
-infinite. The module `clearance` computes the distances that the robot must keep.
+infinite. The module `clearance` defines the distances that links must keep from each other
+and from obstacles.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ ASSUMED_SPEED = (1.0, 0.25)
 ASSUMED_SLIDE = 1.0
 """Assumed length of the range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
-"""Joints whose range is smaller than this do not move [rad or m]."""
+"""A joint is considered immovable if its range is smaller than this value [rad or m]."""
 _POSES = 400
 """Number of random poses that are used to find links that may come near each other."""
 _LIGHT = (0.05, 0.05)
@@ -37,7 +38,7 @@ _LIGHT = (0.05, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of a motion. Joints that do not move remain at rest."""
+    """Limits of a motion. Joints that are not in `joint_names` stay at their `rest` positions."""
 
     joint_names: tuple[str, ...]
     """Names of the moving joints."""
@@ -50,11 +51,11 @@ class MotionLimits:
     upper: Floats
     """Upper ends of the position ranges, shape (moving joints,) [rad or m]."""
     speeds: Floats
-    """Largest speeds, shape (moving joints,) [rad/s or m/s]."""
+    """Largest permitted speeds, shape (moving joints,) [rad/s or m/s]."""
     efforts: Floats
-    """Largest efforts of all joints, shape (joints,) [N m or N]; inf without a limit."""
+    """Largest permitted effort of each joint, shape (joints,) [N m or N]; inf without a limit."""
     clearance: Clearance | None = None
-    """Distances that the robot must keep; None if distances are not checked."""
+    """Minimum distances between links, and from links to obstacles; None if not checked."""
     notes: tuple[str, ...] = ()
     """Notes for the user about assumptions."""
 
@@ -80,10 +81,11 @@ def motion_limits(
     Collect the limits of a motion.
 
     `joints` are the joints to move. The default is all joints that can move, except joints that
-    carry almost no mass. The motion uses a `fraction` of the position ranges, speeds and efforts.
-    `ranges` replaces position ranges [rad or m] and is not reduced. `rest` contains joint
-    positions before the motion [rad or m]. A missing position is 0 or the limit nearest to 0.
-    Raises ConfigurationError if a joint does not exist or cannot move, or if a value is invalid.
+    carry almost no mass. `fraction` is the part of the position ranges, speeds and efforts that
+    the motion may use. `ranges` replaces position ranges [rad or m] and is not reduced by
+    `fraction`. `rest` contains joint positions before the motion [rad or m]. A missing position is
+    0, or the limit nearest to 0 if 0 is out of range. Raises ConfigurationError if a joint does
+    not exist or cannot move, or if a value is invalid.
 
     """
     if not 0.0 < fraction <= 1.0:
@@ -119,7 +121,7 @@ def motion_limits(
 
 
 def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Floats, Floats, Floats]:
-    """Return lower ends, upper ends and speeds; append the assumptions to `notes`."""
+    """Return lower, upper and speed limits; append the assumptions to `notes`."""
     slides = robot.is_prismatic_joint
     lower, upper = joint_ranges(robot)
     unbounded = slides & ~(np.isfinite(lower) & np.isfinite(upper))
@@ -150,8 +152,8 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
     name, unit = robot.joint_names[i], 'm' if robot.is_prismatic_joint[i] else 'rad'
     if not (math.isfinite(low) and math.isfinite(high) and high - low >= _LEAST_RANGE):
         raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected the upper "
-            'end above the lower end'
+            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected a finite "
+            f'upper end at least {_LEAST_RANGE:g} {unit} above the lower end'
         )
     if low < robot.lower[i] or high > robot.upper[i]:
         raise ConfigurationError(
@@ -192,7 +194,7 @@ def _chosen(
     if not names:
         reasons = '; '.join(f"'{name}': {reason}" for name, reason in still.items())
         raise ConfigurationError(
-            f"robot '{robot.name}' has no joint that can move{f' ({reasons})' * bool(reasons)}"
+            f"robot '{robot.name}' has no joint to move{f' ({reasons})' * bool(reasons)}"
         )
     left_out = [f'{name} ({still[name]})' for name in robot.joint_names if name in still]
     if left_out and not joints:
@@ -233,9 +235,9 @@ def whole_positions(limits: MotionLimits, q: Floats) -> Floats:
 
 def random_states(limits: MotionLimits, count: int, rng: np.random.Generator) -> States:
     """
-    Draw random states within the limits of positions and speeds.
+    Draw random states within the position and speed limits.
 
-    The largest acceleration reaches the largest speed in 0.5 s.
+    The largest acceleration takes a joint from rest to its largest speed in 0.5 s.
 
     """
     m = len(limits.speeds)
@@ -253,7 +255,7 @@ def keep_clear(
     boxes: Sequence[Floats] = (),
 ) -> MotionLimits:
     """
-    Add the minimum distances between the links, to the floor and to boxes.
+    Copy `limits`, and add minimum distances between links, and from links to floor and boxes.
 
     `capsules` enclose the bodies of the robot. `find_clearance` describes the other arguments.
 
@@ -270,8 +272,8 @@ def excess(
     """
     Return how far states exceed each limit, relative to the limit.
 
-    The excess starts at the fraction `aim` of a limit. The result has one row per state and one
-    column per finite limit.
+    With an `aim` of 0.9, the excess starts at 90 % of each limit. The result has one row per state
+    and one column per finite limit.
 
     """
     parts = [

@@ -34,23 +34,31 @@ HARMONICS = 5
 NOISE = 0.01
 """Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
 SAMPLES_PER_SECOND = 10.0
-"""Rate of independent samples after smoothing [Hz]."""
+"""Assumed rate of independent samples in the smoothed measured efforts [Hz]."""
 _STEP = 1e-6
-"""Step of finite differences [rad or m]. Steps of rates are multiplied by the largest speed."""
+"""
+Step of finite differences [rad or m].
+
+For velocities and accelerations, the step is multiplied by the largest speed of the joint.
+"""
 _PER_HARMONIC = 16
 """Number of samples per harmonic during the search."""
 _FINE = 8
-"""Number of states in the final check per sample of the search."""
+"""Checks of the limits use this many states per sample of the search."""
 _DENSER = 4
-"""Number of poses that are checked for collisions per sample of the search."""
+"""For each sample, the search checks this many poses for collisions."""
 _COARSE, _SHRINKING = 8, 0.95
-"""Coarse checks use one in this many states. A failed check multiplies a motion by the factor."""
+"""
+Coarse checks use one out of `_COARSE` states.
+
+If a motion fails a full check, its amplitude is multiplied by `_SHRINKING`.
+"""
 _WAY = 60
 """Number of poses that the search checks on the path to the start of a motion."""
 CANDIDATES = 30
 """Number of random motions. The search starts from the best random motion."""
 _POSES = 300
-"""Number of random poses. The drives must be able to hold at least one pose."""
+"""Number of random poses. At least one of these poses must respect all limits."""
 _NEARLY_ALL = 0.9
 """If more than this fraction of poses reach below the floor, the floor is probably too high."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
@@ -59,7 +67,7 @@ _LARGEST_WORK = 1.5e9
 """Largest number of regressor entries that a search may compute."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
-"""Fraction of the limits that the search aims at, because penalties permit small violations."""
+"""The search aims at this fraction of the limits, because penalties permit small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
 """Smaller fractions of the limits, which are tried if the result violates a limit."""
 _OF_REPAIR = (1e5, 30)
@@ -104,8 +112,8 @@ def find_excitation(
     the effort limit. The largest effort of random motions replaces a missing effort limit.
     `progress` is called regularly with the completed fraction, 0 to 1.
 
-    Raises ConfigurationError if an argument is invalid, if no pose is within the limits, or if all
-    motions collide.
+    Raises ConfigurationError if an argument is invalid, if no pose is within the limits, or if
+    every motion that was tried leads to a collision.
 
     """
     if not 0.0 < duration < math.inf:
@@ -143,7 +151,7 @@ def find_excitation(
 
 class MotionSpace:
     """
-    All motions of m joints with h harmonics.
+    All motions of m joints as Fourier series with h harmonics.
 
     An array x of shape (m, 2 h - 1) represents one motion. The entries of x are coefficients of
     the `FourierSeries`, relative to the middle and the half width of the position ranges.
@@ -173,7 +181,7 @@ class MotionSpace:
         return States(*(part @ self.coefficients(x).T for part in self.basis))
 
     def is_within_limits(self, x: Floats, every: int = 1) -> bool:
-        """Return whether a motion keeps all limits; only every n-th state is checked."""
+        """Return whether a motion respects all limits in every n-th state, where n is `every`."""
         states = States(*(part[::every] @ self.coefficients(x).T for part in self._fine_basis))
         if excess(self.dynamics, self.limits, states).any():
             return False
@@ -205,7 +213,7 @@ class MotionSpace:
 
         The violation is the mean of `Clearance.violation` over the motion, plus the mean over the
         path to its start. The gradient with respect to the coefficients has the shape (moving
-        joints, 2 * harmonics - 1). The search aims at the fraction `aim` of the limits.
+        joints, 2 * harmonics - 1). `Clearance.violation` describes `aim`.
 
         """
         clearance, index = self.limits.clearance, self.limits.index
@@ -220,7 +228,7 @@ class MotionSpace:
         return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
-        """Return poses on the straight path from rest to a start pose, shape (count, joints)."""
+        """Return poses on the straight path from `rest` to a start pose, shape (count, joints)."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
         places = np.linspace(0.0, 1.0, count, endpoint=False)
         return np.asarray(rest + places[:, np.newaxis] * (end - rest))
@@ -239,7 +247,7 @@ class MotionSpace:
         return found
 
     def within_limits(self, x: Floats, safe: Floats) -> Floats:
-        """Reduce a motion, or blend the motion with a safe motion, until all limits are kept."""
+        """Shrink a motion, or blend it with a safe motion, until it respects all limits."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
         for end, smallest in ((still, 0.5), (safe, 0.0)):
@@ -250,7 +258,7 @@ class MotionSpace:
         return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
-        """Reduce the swing around a pose until the motion keeps all limits."""
+        """Reduce the swing around a pose until the motion respects all limits."""
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
@@ -283,7 +291,7 @@ class MotionSpace:
         return np.asarray(poses[found])
 
     def _why(self, states: States, held: Integers) -> str:
-        """Explain why no pose keeps all limits; `held` are poses that the drives can hold."""
+        """Explain why no pose respects all limits; `held` indexes poses that drives can hold."""
         limits = self.limits
         if len(held):
             return self._why_not_clear(whole_positions(limits, states.q[held]))
@@ -366,7 +374,7 @@ def _gradient(function: Callable[[States], Floats], states: States, speeds: Floa
     """
     Differentiate a function at every state.
 
-    The function returns one number per state. No number depends on another state.
+    The function returns one number per state. Each number depends only on its own state.
 
     """
     here = function(states)

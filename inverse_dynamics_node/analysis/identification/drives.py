@@ -1,9 +1,9 @@
 """
 Fits joint terms, gains, and the delay of the efforts.
 
-Joint terms are the effects of a drive, such as friction and armature. The friction width is the
-speed over which Coulomb friction is smoothed. A block is a contiguous part of the recordings. An
-optional term is used only if the prediction of left-out blocks improves.
+Joint terms model effects in the drive of a joint, such as friction and armature. The friction
+width is the speed over which Coulomb friction is smoothed. A block is a contiguous part of the
+recordings. An optional term is used only if it improves the prediction of left-out blocks.
 
 The gain of a joint is the effort per unit of current. Currents alone do not determine a common
 factor of all gains and masses. A known payload or the robot description determines this factor.
@@ -42,27 +42,27 @@ FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
 """An optional term must reduce the squared prediction errors by this fraction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""Smallest improvement by an optional term, in standard errors of the improvement."""
+"""Required improvement by an optional term, in standard errors of the improvement."""
 LARGEST_LOAD = 0.1
-"""Prior standard deviation of load friction [-], as large as in inefficient gears."""
+"""Prior standard deviation of the ratio of load friction to load, as in inefficient gears [-]."""
 WIDTHS = 10
 """Number of friction widths to try."""
 NARROWEST = 0.002
 """Smallest friction width to try [rad/s or m/s]."""
 SIGNIFICANT = 5.0
-"""A gain is known if its inverse exceeds this many standard errors."""
+"""A gain is known if its inverse exceeds this many standard errors of the inverse."""
 LEAST_CHANGE = 0.15
-"""A common factor must differ from one by at least this much."""
+"""A common factor is reported only if it differs from 1 by at least this much."""
 MOST_DISAGREEMENT = 0.5
-"""Largest RMS deviation of the joints from the common change, relative to the change."""
+"""Largest RMS deviation of the factors of the joints from a common factor f, relative to f - 1."""
 EXPLAINS = 0.6
-"""Fraction of the improvement by identified bodies that a common factor must explain."""
+"""A common factor must explain this fraction of the error reduction by the identified bodies."""
 MOST_DELAY = 0.1
-"""Largest magnitude of an estimated delay [s]."""
+"""Estimated delays are limited to this magnitude [s]."""
 
 
 class JointFit(NamedTuple):
-    """Joint terms that were fitted with given bodies."""
+    """Joint terms that were fitted for given inertial parameters of the bodies."""
 
     model: Model
     """Model with the chosen terms; all other terms are zero."""
@@ -76,7 +76,7 @@ class EffortCorrection(NamedTuple):
     delay: float
     """Delay of the recorded values [s]."""
     gains: Floats
-    """Effort per recorded value of each joint, shape (joints,)."""
+    """Effort per unit of the recorded value, for each joint, shape (joints,)."""
     is_gain_known: Booleans
     """Whether the gain of each joint is known, shape (joints,)."""
 
@@ -86,7 +86,7 @@ class EffortCorrection(NamedTuple):
 
 
 def widths_to_try(speeds: Floats) -> Floats:
-    """Return friction widths to try for joints of given speeds, shape (WIDTHS, joints)."""
+    """Return friction widths to try for the given joint speeds, shape (WIDTHS, joints)."""
     fast = np.maximum(speeds, 10.0 * NARROWEST)
     return np.geomspace(np.maximum(0.004 * fast, NARROWEST), 0.4 * fast, WIDTHS)
 
@@ -98,7 +98,7 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Choose and fit the joint terms; joints that do not move only have offsets."""
+    """Choose and fit the joint terms; joints that do not move have no term except an offset."""
     found = JointFit(start.model, start.used)
     # The second pass uses the new efforts of coupled drives on preceding joints.
     for _ in range(2 if start.model.couplings.any() else 1):
@@ -130,7 +130,7 @@ def _choose_terms(
 
 
 def fits_without_blocks(regression: Regression, friction: JointFit) -> list[Model]:
-    """Leave out each block in turn, and fit the chosen terms without couplings."""
+    """Refit the chosen terms, leaving out one block at a time; couplings are not supported."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
     grams = _block_grams(regression, model, model.widths[None], target)
@@ -144,7 +144,7 @@ def fits_without_blocks(regression: Regression, friction: JointFit) -> list[Mode
 def _block_grams(
     regression: Regression, model: Model, grid: Floats, target: Floats
 ) -> list[Floats]:
-    """Return Gram matrices for each joint, each of shape (widths, blocks, 11, 11)."""
+    """Return Gram matrices as one array per joint, shape (widths, blocks, 11, 11)."""
     blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
@@ -157,7 +157,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Add useful terms; return all chosen terms and the index of the best width."""
+    """Add useful terms to `chosen`; return all chosen terms and the index of the best width."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -181,7 +181,7 @@ def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> floa
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
-    """Return the squared prediction errors of all blocks, and the index of the best width."""
+    """Return each block's squared prediction error for the best width, and the width's index."""
     others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
     factors = np.zeros((*grams.shape[:2], TERMS + 1))
     factors[..., -1] = 1.0
@@ -222,7 +222,7 @@ def first_gains(
     regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
-    Estimate the effort per current of each joint for the given bodies.
+    Estimate the gain of each joint (effort per current) for the given bodies.
 
     Returns the gains, and whether the recordings determine each gain, shape (joints,). Gains may
     be negative. An undetermined gain is set to the median magnitude of the determined gains.
@@ -252,10 +252,10 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return the common factor between measured and modelled link efforts, or None.
+    Return the common ratio of measured to modelled link efforts, or None.
 
-    The result is None if the factor is near one, or if the joints have different factors. The
-    result is also None if the factor hardly explains the improvement by the identified bodies.
+    The result is None if the ratio is near one, or if the joints have different ratios. The result
+    is also None if the ratio explains too little of the error reduction by the identified bodies.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
@@ -309,7 +309,7 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> tuple[float, float]
 
 
 def _shifted(motion: Motion, delay: float) -> Floats:
-    """Return the efforts of a motion without the delay, shape (samples, joints)."""
+    """Return the efforts of a motion after removing the delay, shape (samples, joints)."""
     from scipy.interpolate import CubicSpline
 
     efforts = motion.efforts.copy()
@@ -322,7 +322,7 @@ def _shifted(motion: Motion, delay: float) -> Floats:
 
 
 def _rate(regression: Regression, values: Floats) -> Floats:
-    """Differentiate rows with respect to time, separately for each motion."""
+    """Differentiate samples, one per row, with respect to time, motion by motion."""
     rates, first = np.zeros_like(values), 0
     for smooth in regression.resamplers:
         last = first + len(smooth.times)

@@ -45,18 +45,18 @@ _NAMES = {
 }
 _NOT_MOVED = 'this joint did not move far enough in both directions'
 LEAST_GAIN = 0.01
-"""Fraction by which the identified model must reduce the residuals of friction alone."""
+"""The model must reduce the residuals of a friction-only fit by at least this fraction."""
 LEAST_EXPLAINED = 0.1
 """Fraction of the effort variation that the identified model must explain."""
 
 SHORT = 20.0
-"""A longer recording is suggested if the duration is below this [s]."""
+"""A longer recording is suggested if the total duration is below this value [s]."""
 SLOW = 0.2
 """A joint is slow if its speed mostly stays below this fraction of the speed limit."""
 FAST_ENOUGH = 0.5
-"""A joint that exceeds this speed is fast enough [rad/s or m/s]."""
+"""A joint is fast enough if it exceeds this speed [rad/s or m/s]."""
 LITTLE = 0.5
-"""A mass needs more data if recordings provide less than this fraction of its information."""
+"""A mass needs more data if less than this fraction of its information comes from recordings."""
 MOST_ADVICE = 4
 """Largest number of suggestions."""
 
@@ -140,7 +140,7 @@ def _efforts(
     folds: Sequence[Sequence[Model]],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; each fold predicts its own block."""
+    """Return measured and predicted efforts; each fold predicts the block that it left out."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -163,7 +163,12 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; in each block, the models of the fold replace the last models."""
+    """
+    Return a regression, and the efforts that each model predicts.
+
+    In the block that a fold left out, the models of the fold replace the last entries of `models`.
+
+    """
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
     # The delay of the efforts is kept, because the models do not contain a delay.
     gains = data.correction.gains
@@ -177,7 +182,7 @@ def _predicted(
 
 
 def _times(regression: Regression) -> Floats:
-    """Return the times of the rows; successive recordings are one second apart."""
+    """Return the times of the rows; successive recordings are placed one second apart."""
     parts, start = [], 0.0
     for smooth in regression.resamplers:
         times = smooth.times - smooth.times[0] + start
@@ -198,7 +203,7 @@ def _variation(unseen: Unseen) -> float:
 
 
 def _is_better(unseen: Unseen) -> bool:
-    """Return whether the model beats friction alone, in total and on average over the joints."""
+    """Return whether the identified model has smaller residuals than a fit of friction alone."""
     friction = rms(unseen.measured - unseen.friction)
     identified = rms(unseen.measured - unseen.identified)
     total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))
@@ -226,7 +231,7 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
         return (
             'The efforts are hardly related to the motion: on unseen data, the efforts vary by '
             f'{significant(_variation(unseen))} N m, and the identified model leaves {identified} '
-            'N m unexplained. Check that the recording contains the efforts of these joints, '
+            'N m unexplained. Check that the recording contains the efforts of the joints, '
             'and that efforts and positions were measured at the same times. The masses of the '
             'robot description are kept'
         )
@@ -296,7 +301,8 @@ def _spread(joints: Sequence[Floats]) -> Floats:
     """
     Return jackknife standard errors of the joint terms.
 
-    The errors include changes of friction between blocks. With one block, all errors are zero.
+    The errors include the effect of friction that changes between blocks. With one block, all
+    errors are zero.
 
     """
     values = np.array(joints)
@@ -311,7 +317,7 @@ def _standard_errors(fit: RobotFit, covariance: Floats) -> Floats:
 
 
 def _friction_errors(data: TrainingData, friction: JointFit) -> Floats:
-    """Return standard errors of the joint terms if only friction was fitted."""
+    """Return standard errors of the joint terms for the fit of friction alone."""
     regression, model = data.regression, friction.model
     weights = weights_of(regression.residual(model))
     terms = regression.terms(model)
@@ -366,7 +372,7 @@ def _base_parameters(
 
 
 def _fixed(problem: IdentificationProblem) -> tuple[str, ...]:
-    """Return the moving links with mass that were not identified."""
+    """Return the moving links that have mass and were not identified."""
     identified = problem.identified
     robot = identified.robot
     changed = {link for links in identified.links for link in links}
@@ -391,8 +397,9 @@ def _warnings(
         warnings.append(
             (
                 'gains, masses and friction are known only up to one common factor',
-                'the masses of the URDF determine this factor. If these masses may be wrong, '
-                'record a run with a known payload, and use --payload MASS,X,Y,Z --link LINK',
+                'without a known payload, the masses of the URDF determine this factor. If these '
+                'masses may be wrong, record a run with a known payload, and use --payload '
+                'MASS,X,Y,Z --link LINK',
             )
         )
         warnings += [
@@ -400,8 +407,8 @@ def _warnings(
                 f'the gain of {names[joint]} cannot be determined, because the current hardly '
                 'depends on the modelled effort',
                 'move this joint in poses where gravity loads it, or with high accelerations. Its '
-                'gain was set to the median of the other gains, so its friction and armature are '
-                'in an unknown unit',
+                'gain was set to the median magnitude of the other gains, so its friction and '
+                'armature are in an unknown unit',
             )
             for joint, known in zip(problem.joints, data.correction.is_gain_known, strict=True)
             if not known
@@ -462,11 +469,11 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
         return []
     return [
         (
-            f'all efforts of the links are {factor:.2f} times as large as the robot description '
-            'predicts',
-            'this factor explains most of what the identified bodies improve. The unit or gain of '
-            'the efforts is probably wrong, and the masses of the robot description are probably '
-            'right. To find out, weigh a link or record a known payload',
+            f'all efforts due to the links are {factor:.2f} times as large as the robot '
+            'description predicts',
+            'this factor alone explains most of what the fit improves. The unit or gain '
+            'of the efforts is probably wrong, and the masses of the robot description are '
+            'probably right. To find out, weigh a link or record a run with a known payload',
         )
     ]
 
@@ -515,6 +522,6 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
 
 
 def _is_first(robot: RobotModel, body: BodyResult) -> bool:
-    """Return whether a body moves on the base directly, so that the mass may have no effect."""
+    """Return whether a body is attached to the base; its mass may then have no effect."""
     number = int(robot.link_body[robot.link_index(body.link)])
     return int(robot.parent[number]) == 0

@@ -1,8 +1,9 @@
 """
 Adds terms that few robots need: springs and coupled drives.
 
-A coupled drive also turns with the preceding joint. Other unknowns may have similar effects.
-Therefore, an extra term must clearly improve the prediction of left-out blocks.
+A coupled drive also turns with the preceding joint. Other unknowns may have effects similar
+to those of an extra term. Therefore, an extra term must clearly improve the prediction of left-out
+blocks.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WI
 LEAST_GAIN = 0.1
 """A spring must reduce the squared prediction errors of its joint by this fraction."""
 LEAST_GAIN_OF_COUPLING = 0.3
-"""A coupling must reduce the squared prediction errors of two joints by this mean fraction."""
+"""A coupling must reduce its joints' squared prediction errors by this fraction on average."""
 ERRORS = 3.0
-"""Least mean improvement of the blocks, in standard errors of the mean."""
+"""Required improvement, averaged over the blocks, in standard errors of the average."""
 LEAST_RELATION = 0.1
 """Fraction of a joint's residual that the motion of the coupled joint must explain."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
@@ -57,7 +58,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
 def _candidates(
     regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
 ) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
-    """Yield the joints, the required improvement and the fit function of each extra term."""
+    """Yield the joints, required improvement and fit function of each possible extra term."""
     is_continuous = regression.problem.identified.robot.is_continuous[regression.problem.joints]
     for j in np.flatnonzero(moving).tolist():
         if not used[j, SPRING] and not is_continuous[j]:
@@ -105,7 +106,8 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
     Return whether `fit` predicts left-out blocks clearly better than the smaller model `base`.
 
     `fit` must reduce the squared residuals of `joints` by the fraction `least` on average. The
-    blocks must improve consistently, because one block may contain most of the squared residuals.
+    improvement must be similar in all blocks, because one block may contain most of the squared
+    residuals.
 
     """
     try:
@@ -147,7 +149,7 @@ def _relation(regression: Regression, model: Model, first: int, second: int) -> 
     """
     Return the fraction of a joint's residual that the motion of the other joint explains.
 
-    The result is the larger fraction of the two joints.
+    The fraction is computed for both joints, and the larger one is returned.
 
     """
     residual = regression.residual(model)

@@ -1,14 +1,14 @@
 """
-Fits bodies and joints together by least squares, and keeps all bodies physical.
+Fits bodies and joints together by least squares, and keeps all bodies physically possible.
 
 The objective is the sum of squared residuals plus an entropic divergence for each body [1]_. The
 divergence of a body is ``tr(P0^-1 P) - log det P``. P is the pseudo-inertia of the body, and P0 is
 the pseudo-inertia in the robot description. The divergence is convex, and finite only for physical
 bodies. A scalar form of the divergence keeps friction and armature positive. The objective is
-self-concordant, so Newton's method converges from any physical start.
+self-concordant, so Newton's method converges from any physically possible start.
 
-The weight of the robot description is the factor of the divergence. Cross-validation with blocks
-of the recordings determines this weight.
+The divergence is multiplied by a factor, the weight of the robot description. Cross-validation
+with blocks of the recordings determines this weight.
 
 References
 ----------
@@ -31,16 +31,16 @@ from .regression import LOAD, Model, moved_by, Regression, SIGNED, TERMS
 
 URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
 """
-Weights of the robot description to try, largest first.
+Weights to try for the robot description in the fit, largest first.
 
 With a weight of 1, a mass that the recordings do not determine has a standard error of 100 %.
 """
 EXPECTED_ERROR = 0.3
 """Expected relative error of masses in a robot description."""
 ENOUGH = 0.9
-"""A mass is determined if recordings provide this fraction of its information."""
+"""A mass is determined if more than this fraction of the information comes from recordings."""
 MOST_GROWTH = 2.0
-"""Largest growth factor of a mass that the recordings do not determine."""
+"""Largest ratio of fitted to original mass, for masses that recordings do not determine."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
 """The solver stops when the squared Newton decrement is smaller than this."""
@@ -49,16 +49,16 @@ _TO_EDGE = 0.95
 
 
 class RobotFit(NamedTuple):
-    """Bodies and joints that were fitted together."""
+    """Result of a fit of bodies and joints together."""
 
     equations: Equations
     weights: Floats
-    """Weights of the joints, shape (joints,)."""
+    """Weight of the residuals of each joint, shape (joints,)."""
     used: Booleans
     """Whether each term of each joint was fitted, shape (joints, 10)."""
     model: Model
     unknowns: Integers
-    """Indices of the fitted unknowns, out of ten per body followed by ten per joint."""
+    """Indices of the fitted unknowns; all unknowns are ten per body, followed by ten per joint."""
     hessian: Floats
     """Inverse covariance of the unknowns."""
     prior: Prior
@@ -68,13 +68,13 @@ class RobotFit(NamedTuple):
         return solve(equations, self.weights, self.prior.weights, used, start)
 
     def without(self, block: int) -> Model:
-        """Repeat the fit without one block, and return the model."""
+        """Repeat the fit without one block of the recordings, and return the model."""
         prior = self.prior.weights
         return solve(self.equations, self.weights, prior, self.used, self.model, block).model
 
 
 def correlation(residual: Floats) -> float:
-    """Return the number of rows that contain as much information as one independent row."""
+    """Return how many correlated rows contain as much information as one independent row."""
     values = residual - residual.mean()
     count = len(values)
     spectrum = np.fft.rfft(values, 2 * count)
@@ -88,7 +88,7 @@ def correlation(residual: Floats) -> float:
 
 
 def weights_of(residual: Floats) -> Floats:
-    """Return inverse variances, corrected for correlated rows, shape (joints,)."""
+    """Return inverse variances of residuals, corrected for correlated rows, shape (joints,)."""
     squares = np.mean(residual**2, axis=0)
     dependent = np.array([correlation(column) for column in residual.T])
     return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
@@ -158,8 +158,9 @@ def solve(
     Minimise the weighted squared residuals plus the divergence from the robot description.
 
     `weights` is the result of `weights_of`. `urdf_weight` contains the weight of the divergence of
-    each body, shape (bodies,). Terms that are not `used` are zero. The reference values of
-    positive terms depend on `start`. The block `without` is left out.
+    each body, shape (bodies,). Terms that are not `used` are zero. A scalar divergence keeps
+    friction and armature positive. Its reference values depend on `start`. The block `without` is
+    left out.
 
     """
     identified = equations.regression.problem.identified
@@ -187,7 +188,7 @@ def solve(
 
 def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
     """
-    Choose the largest weight of the robot description with a small loss.
+    Choose the weight of the robot description: the largest weight whose loss is small.
 
     Each block is predicted by a fit to the other blocks. The loss is the sum of weighted squared
     prediction errors. A loss is small if it exceeds the smallest loss by at most 5 %, and by at
@@ -222,7 +223,7 @@ def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
 def solve_within_reason(
     equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
 ) -> RobotFit:
-    """Solve, and limit the growth of masses that the recordings do not determine."""
+    """Fit all unknowns, but keep undetermined masses below `MOST_GROWTH` times the original."""
     before = equations.regression.problem.identified.before[:, 0]
     urdf_weights = np.full(len(before), urdf_weight)
     for _ in range(40):
@@ -238,11 +239,12 @@ def solve_within_reason(
 
 def mass_information(fit: RobotFit) -> Floats:
     """
-    Return the fraction of information about each mass that comes from the recordings.
+    Return what fraction of the information about each mass comes from the recordings.
 
     The remaining information comes from the robot description. The masses in the description are
     assumed to have relative errors of `EXPECTED_ERROR`. Efforts of joints that moved in a fixed
-    ratio are ignored, because these efforts cannot be assigned to a single joint.
+    ratio to each other are ignored, because a coupling of their drives could also explain
+    these efforts.
 
     """
     count = len(fit.model.bodies)
@@ -257,7 +259,7 @@ def mass_information(fit: RobotFit) -> Floats:
 
 
 def _without_dependent_joints(fit: RobotFit) -> Floats:
-    """Return the Hessian without the efforts of joints that moved in a fixed ratio."""
+    """Return the Hessian without the data of joints that moved in a fixed ratio to each other."""
     groups = fit.equations.regression.together
     if not groups:
         return fit.hessian
@@ -279,7 +281,7 @@ class Prior:
     """
     Divergence of the unknowns from reference values.
 
-    The unknowns are ten parameters per body, followed by the unknowns of the joints.
+    The unknowns are ten parameters per body, followed by the fitted terms of the joints.
 
     """
 
@@ -344,7 +346,7 @@ class Prior:
 
     @cached_property
     def _pull(self) -> Floats:
-        """Return the gradient of ``tr(P0^-1 P)`` with respect to each body, shape (bodies, 10)."""
+        """Return the gradient of ``tr(P0^-1 P)`` in the body parameters, shape (bodies, 10)."""
         inverses = np.linalg.inv(pseudo_inertias(self.bodies))
         return np.asarray(np.einsum('bij,kji->bk', inverses, BASIS))
 

@@ -33,7 +33,7 @@ WIDTH_ROUNDS = 4
 DELAY_ROUNDS = 3
 GAIN_ROUNDS = 5
 LEAST_DELAY = 2e-4
-"""Smaller delays are not removed [s]."""
+"""Smaller delays of the efforts are not removed [s]."""
 FIRST_URDF_WEIGHT = 1.0
 
 
@@ -51,15 +51,15 @@ def identify_parameters(
     Identify inertial parameters, friction and armature of a robot.
 
     If the recordings contain little information, the result stays close to the robot description.
-    The result is evaluated on the `validation` recordings. Without `validation`, each block of the
-    other recordings is predicted from the remaining blocks.
+    The result is evaluated on the `validation` recordings. Without `validation`, each block of
+    `recordings` is predicted by a fit to the other blocks.
 
     `gravity` is the free-fall acceleration in the base frame [m/s^2]. `payload` contains the link,
     mass [kg] and centre of mass [m] of a known payload. The links in `fixed` do not change. If
     `currents` is true, motor currents were recorded instead of efforts, and one gain per joint is
     estimated. `progress` is called with the completed fraction, 0 to 1.
 
-    Raises RecordingError if the recordings are unusable, too short, or contain too little
+    Raises RecordingError if the recordings are unusable or too short, or contain too little
     information. Raises ConfigurationError if a link does not exist, or if nothing is left to
     identify.
 
@@ -99,7 +99,7 @@ def identify_parameters(
 
 
 def with_first_gains(data: TrainingData) -> TrainingData:
-    """Convert currents to efforts, based on the masses of the robot description."""
+    """Estimate gains from the masses of the robot description, and convert currents to efforts."""
     before = data.problem.identified.before
     gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
     return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
@@ -113,7 +113,7 @@ def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
 
 
 def fit_friction(data: TrainingData) -> JointFit:
-    """Fit friction alone, with the bodies of the robot description."""
+    """Fit only friction and offsets, and keep the bodies of the robot description."""
     start = without_terms(data, data.problem.identified.before)
     return choose_terms(data.regression, start, data.moving, data.widths, optional=False)
 
@@ -121,7 +121,7 @@ def fit_friction(data: TrainingData) -> JointFit:
 def fit_in_turn(
     data: TrainingData, fit: JointFit | RobotFit, urdf_weights: Floats, rounds: int = ROUNDS
 ) -> RobotFit:
-    """Repeatedly choose joint terms, and then fit all unknowns together."""
+    """Alternate between choosing joint terms and fitting all unknowns together."""
     for _ in range(rounds):
         start, used = choose_terms(data.regression, fit, data.moving, data.widths)
         weights = weights_of(data.regression.residual(start))
@@ -141,9 +141,9 @@ def remove_delay(
     data: TrainingData, fit: RobotFit
 ) -> tuple[TrainingData, RobotFit, tuple[float, float]]:
     """
-    Estimate the delay of the efforts, and remove the delay if the fit improves.
+    Estimate the delay of the efforts, and remove the delay if this improves the fit.
 
-    Also returns the delay and its standard error [s].
+    Returns the corrected data, the fit, and the delay with its standard error [s].
 
     """
     delay = error = 0.0
@@ -188,7 +188,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return the factor that keeps the geometric mean of the gains, or 1 if a mass is known."""
+    """Return a factor that restores the geometric mean of the gains, or 1 if a mass is known."""
     problem, known = data.problem, data.correction.is_gain_known
     fixed = problem.identified.fixed_robot()
     if problem.payload is not None or fixed.mass[1:].any() or not known.any():

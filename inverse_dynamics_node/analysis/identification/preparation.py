@@ -23,15 +23,15 @@ HIGHEST_RATE = 250.0
 """Highest sampling rate of prepared recordings [Hz]; smoothed signals do not need more."""
 STRETCHES = (1.0, 1.5, 2.0)
 """
-Factors of the smoothing window to try.
+Factors to try for the length of the smoothing window.
 
-With encoder noise of 5e-4 rad at 125 Hz, a factor of 2 reduced the model error by a sixth. A
-factor of 4 reduced the model error by less than another hundredth.
+With encoder noise of 5e-4 rad at 125 Hz, a factor of 2 reduced the model error by a sixth. An
+increase of the factor from 2 to 4 reduced the remaining error by less than 1 %.
 """
 CLEAN = 0.05
 """Acceptable noise of accelerations, as a fraction of the RMS acceleration."""
 LEAST_RANGE = 0.02
-"""A joint with a smaller range of positions does not affect the smoothing [rad or m]."""
+"""A joint affects the smoothing window only if its positions span more than this [rad or m]."""
 SMOOTHING_RANGE = (0.1, 0.4)
 """
 Shortest and longest smoothing window of the fit [s].
@@ -41,17 +41,18 @@ A window of 0.6 s increased the errors by 3 %, and a window of 0.8 s by 8 %.
 """
 NOISES_IN_WIDTH = 3.0
 """
-Least friction width in the node, in standard deviations of the velocity noise.
+Smallest exported friction width, in standard deviations of the velocity noise.
 
-With this width, the noise at rest changes the commanded friction by a third of Coulomb friction.
+With this width, one standard deviation of velocity noise changes the commanded friction effort at
+rest by a third of Coulomb friction.
 """
 BLOCKS = 8
 LEAST_DURATION = 3.0
 """Least total duration of the smoothed recordings [s]."""
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
-"""Least travel in each direction for revolute joints [rad] and prismatic joints [m]."""
+"""Least travel in each direction for identifying friction [rad or m]; True: prismatic."""
 LEAST_RETURN = 0.1
-"""Least travel of a joint in each direction, as a fraction of the total travel."""
+"""Least travel in each direction for identifying friction, as a fraction of the total travel."""
 GOOD_RECORDINGS = (
     'record slow and fast motions of all joints for at least 30 s; `inverse_dynamics excite` '
     'plans a suitable motion'
@@ -73,7 +74,7 @@ class PreparedRecording(NamedTuple):
 
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
     """
-    Return the joints with varying efforts in all recordings.
+    Return the joints whose efforts vary in every recording.
 
     Raises RecordingError if there are no such joints.
 
@@ -99,12 +100,12 @@ def prepare_all(
     stretch: float | None = None,
 ) -> tuple[list[PreparedRecording], float]:
     """
-    Smooth all recordings with the same window.
+    Smooth all recordings, and multiply the lengths of their smoothing windows by one factor.
 
-    The result contains the efforts of `joints`. Joints without recorded positions stay at zero.
-    `stretch` multiplies the shortest smoothing window. If `stretch` is None, the noise determines
-    the factor. Returns the prepared recordings and the factor. Raises RecordingError if a
-    recording is too short, or if one of the joints has no measured effort.
+    The result contains the efforts of `joints`. Joints without recorded positions are assumed to
+    stay at zero. `stretch` is the factor. If `stretch` is None, the noise determines the factor.
+    Returns the prepared recordings and the factor. Raises RecordingError if a recording is too
+    short, or if one of the joints has no measured effort.
 
     """
     turned = [without_turns(robot, each) for each in recordings]
@@ -128,7 +129,7 @@ def without_noisy_velocities(recording: Recording) -> Recording:
 
 
 def _stretch(recording: Recording) -> float:
-    """Return the factor of the smoothing window that the acceleration noise requires."""
+    """Return the factor that stretches the smoothing window enough for clean accelerations."""
     chosen = STRETCHES[0]
     for stretch in STRETCHES:
         try:
@@ -162,7 +163,7 @@ def _prepare(
     joints: Sequence[int],
     stretch: float,
 ) -> PreparedRecording:
-    """Prepare one recording; joints without recorded positions stay at zero."""
+    """Prepare one recording; joints without recorded positions are assumed to stay at zero."""
     derived = derive(quiet, stretch)
     noise = derived.qd_noise if quiet is recording else derive(recording).qd_noise
     step = max(1, int(1.0 / (derived.period * HIGHEST_RATE) + 1e-9))
@@ -191,8 +192,8 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
         raise RecordingError(
-            f'a validation recording has no efforts of {", ".join(missing)}, but only of '
-            f'{", ".join(measured)}; expected efforts of the same joints as in the fitted '
+            f'a validation recording has efforts of {", ".join(measured)}, but not of '
+            f'{", ".join(missing)}; expected efforts of the same joints as in the fitted '
             'recordings'
         )
     return [derived.joint_names.index(name) for name in names]
@@ -214,7 +215,7 @@ class TrainingData:
     widths: Floats
     """Friction widths to try, shape (widths, joints) [rad/s or m/s]."""
     least_widths: Floats
-    """Least friction widths in the node, shape (joints,) [rad/s or m/s]."""
+    """Smallest friction widths to export, shape (joints,) [rad/s or m/s]."""
     correction: EffortCorrection
     regression: Regression
     """The smoothed rows with corrected efforts."""
@@ -260,7 +261,7 @@ def training_data(
 def _smoothing_window(
     problem: IdentificationProblem, motions: Sequence[Motion], moving: Booleans, duration: float
 ) -> float:
-    """Return the smoothing window of the fit [s]; fast motions need a short window."""
+    """Return the length of the smoothing window [s]; fast motions need a short window."""
     ratios = []
     for motion in motions:
         for joint, moves in zip(problem.joints, moving, strict=True):

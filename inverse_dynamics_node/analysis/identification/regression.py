@@ -37,11 +37,11 @@ ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
 EXPORTED = 7
 """Number of joint terms that the node can apply."""
 WIDTH = 7
-"""Index of the column for a small change of the friction width."""
+"""Index of the term that corrects the friction width."""
 RATIO = 8
-"""Index of the column for a small change of the coupling."""
+"""Index of the term that corrects the coupling."""
 GAIN = 9
-"""Index of the column for a small change of the gain."""
+"""Index of the term that corrects the gain."""
 TERMS = 10
 """Number of terms of each joint."""
 OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
@@ -72,7 +72,7 @@ class IdentifiedBodies:
     before: Floats
     """Parameters in the robot description, relative to the body frames, shape (bodies, 10)."""
     reference: Floats
-    """The same parameters, after flat bodies were given a small thickness."""
+    """The same parameters, but flat or impossible bodies are enlarged."""
 
     def fixed_robot(self) -> RobotModel:
         """Return the robot without the masses of the identified links."""
@@ -93,10 +93,11 @@ class IdentifiedBodies:
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
-        Return the inertial of each link in the link frame.
+        Return the inertial of each identified link in the link frame.
 
-        `parameters` contains physical bodies, shape (bodies, 10). All links of a body change by
-        the same linear map of space and density, so each link stays physical.
+        `parameters` describes physically possible bodies, shape (bodies, 10). The pseudo-inertia P
+        of each link becomes ``T P T^T``, with the same matrix T for all links of a body.
+        Therefore, each link stays physically possible.
 
         """
         inertials = {}
@@ -135,7 +136,8 @@ def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> Identif
             links.append(identified)
     if not bodies:
         raise ConfigurationError(
-            f"robot '{robot.name}' has no moving link left to identify: each is massless or fixed"
+            f"robot '{robot.name}' has no moving link left to identify: "
+            'each is massless or must not change'
         )
     before = np.array([sum(_link_parameters(robot, link) for link in each) for each in links])
     return IdentifiedBodies(
@@ -172,7 +174,7 @@ class IdentificationProblem:
 
     @cached_property
     def before(self) -> Integers:
-        """Index in `joints` of the preceding joint of each joint, or -1."""
+        """For each joint, the index of the preceding joint in `joints`, or -1 if not there."""
         before = joints_before(self.identified.robot)[self.joints].tolist()
         return np.array([self.joints.index(k) if k in self.joints else -1 for k in before])
 
@@ -190,13 +192,13 @@ class IdentificationProblem:
         return efforts[:, self.joints]
 
     def columns(self, motion: Motion) -> Floats:
-        """Return columns of the identified bodies, shape (samples, joints, 10 per body)."""
+        """Return regressor columns of identified bodies, shape (samples, joints, 10 per body)."""
         states = motion.q, motion.qd, motion.qdd
         dynamics = self.dynamics(self.identified.robot)
         return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
 
     def at_random_states(self) -> Floats:
-        """Return scaled columns at random states, shape (rows, 10 per body)."""
+        """Return scaled regressor columns at random states, shape (rows, 10 per body)."""
         robot = self.identified.robot
         rng, n = np.random.default_rng(0), len(robot.joint_names)
         states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
@@ -209,7 +211,7 @@ class IdentificationProblem:
 
 
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
-    """Return the list indices of the bodies that a joint moves."""
+    """Return indices into `bodies`, for the bodies that a joint moves."""
     joints = [robot.joint_index[path_to(robot, body)] for body in bodies]
     return [k for k, on_path in enumerate(joints) if joint in on_path]
 
@@ -231,7 +233,7 @@ class Model:
     """Couplings of the drives, shape (joints,)."""
 
     def with_fitted_shapes(self) -> Model:
-        """Apply the fitted changes of widths and couplings, within bounds."""
+        """Return the model with bounded changes of widths and couplings applied."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         most = 0.5 * np.abs(self.couplings)
@@ -240,7 +242,7 @@ class Model:
         return Model(self.bodies, joints, self.widths + change, couplings)
 
     def scaled(self, factor: float) -> Model:
-        """Return the model for efforts multiplied by a factor, without gain changes."""
+        """Return the model for efforts multiplied by a factor; gain changes are set to zero."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
         joints[:, GAIN] = 0.0
@@ -259,19 +261,20 @@ class Model:
         return replace(self, couplings=couplings)
 
     def springs(self, q: Floats) -> Floats:
-        """Return the efforts of springs and their offsets, shape (samples, joints)."""
+        """Return the efforts of springs, including their offsets, shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
         return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
 
 class Regression:
     """
-    Smoothed rows of several motions.
+    Smoothed regression rows of several motions.
 
     `seconds` is the length of the smoothing window. `block_count` is the approximate number of
-    blocks. `efforts` contains the measured efforts. `q`, `qd` and `qdd` contain the positions,
-    velocities and accelerations. All four have the shape (rows, joints). `block` contains the
-    block index of each row, or -1 for rows between blocks.
+    blocks, which are contiguous parts of the motions. `efforts` contains the measured efforts.
+    `q`, `qd` and `qdd` contain the positions, velocities and accelerations. All four have the
+    shape (rows, joints). `block` contains the block index of each row, or -1 for rows between
+    blocks.
 
     """
 
@@ -299,12 +302,12 @@ class Regression:
 
     @cached_property
     def bodies(self) -> Floats:
-        """Columns of the identified bodies, shape (rows, joints, 10 per body)."""
+        """Regressor columns of the identified bodies, shape (rows, joints, 10 per body)."""
         return self._smooth([self.problem.columns(motion) for motion in self.motions])
 
     @cached_property
     def known(self) -> Floats:
-        """Efforts of the payload and of links that are not identified, shape (rows, joints)."""
+        """Efforts due to the payload and to unidentified links, shape (rows, joints)."""
         fixed = self.problem.identified.fixed_robot()
         return self._smooth([self.problem.efforts(fixed, motion) for motion in self.motions])
 
@@ -326,7 +329,7 @@ class Regression:
         Return the columns of the joint terms, shape (rows, joints, 10).
 
         The columns depend on the widths, the couplings and the gear loads of the model. The
-        columns for small changes also depend on the joint terms of the model.
+        columns `WIDTH` and `RATIO` also depend on the joint terms of the model.
 
         """
         robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
@@ -381,7 +384,7 @@ class Regression:
 
     @cached_property
     def together(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of joints that moved in a fixed ratio, as indices in the joint list."""
+        """Groups of joints that moved in a fixed ratio, as indices into `problem.joints`."""
         spread = self.qd.std(axis=0)
         moved = np.flatnonzero(spread > 1e-6 * spread.max())
         if len(moved) < 2:
@@ -410,7 +413,7 @@ class Regression:
         return np.concatenate([method(smooth, values) for smooth, values in pairs])
 
     def _blocks(self, count: int) -> Integers:
-        """Return the block of each row, or -1 between blocks; blocks have similar durations."""
+        """Return the block index of each row, or -1 near the border between two blocks."""
         durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in self.motions]
         numbers: list[Integers] = []
         first = 0

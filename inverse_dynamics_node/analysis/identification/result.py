@@ -35,7 +35,7 @@ class DriveTerms:
     width: float = 0.0
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     load_friction: float = 0.0
-    """Coulomb friction per effort that loads the gear [-]."""
+    """Ratio of Coulomb friction to the effort that loads the gear [-]."""
     sqrt_damping: float = 0.0
     """Friction per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]."""
     armature: float = 0.0
@@ -47,7 +47,7 @@ class DriveTerms:
     rest: float = 0.0
     """Position at which the spring exerts no effort [rad or m]."""
     offset: float = 0.0
-    """Offset of the effort [N m or N]; 0 with a spring, because `rest` contains the offset."""
+    """Offset of the effort [N m or N]; 0 if there is a spring, because `rest` includes it."""
     errors: dict[str, float] = field(default_factory=dict)
     """Standard errors of the identified terms, by name."""
 
@@ -59,7 +59,7 @@ class JointResult:
     name: str
     is_prismatic: bool
     measured: float
-    """RMS of the measured effort on unseen data [N m or N]."""
+    """RMS of the measured effort in unseen data [N m or N]."""
     unseen: Residuals
     training: Residuals
     noise: float
@@ -67,7 +67,7 @@ class JointResult:
     unsmoothed: float
     """Residual of the identified model on unseen data without smoothing [N m or N]."""
     terms: DriveTerms
-    """Identified terms, or the terms of friction alone if the model was not accepted."""
+    """Identified terms; if the model was not accepted, the terms of a friction-only fit."""
     unknown_because: str
     """Reason why the friction is unknown; empty if the friction is known."""
     coupled_with: tuple[str, ...]
@@ -98,7 +98,7 @@ class BodyResult:
     com: Floats
     com_error: Floats
     data_fraction: float
-    """Fraction of the information about the mass that comes from the recordings."""
+    """How much of the information about the mass comes from the recordings, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ class Unseen:
     """Measured and predicted efforts, usually of data that were not used for the fit."""
 
     times: Floats
-    """Times of the samples, with one recording after the other, shape (samples,) [s]."""
+    """Times of the samples, with all recordings placed in sequence, shape (samples,) [s]."""
     measured: Floats
     urdf: Floats
     friction: Floats
@@ -132,14 +132,14 @@ class IdentificationResult:
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
     fixed: tuple[str, ...]
-    """Moving links with mass that were not identified."""
+    """Moving links that have mass but were not identified."""
     inertials: dict[str, RigidBody]
     """New inertials in the link frames, by link; empty if the model was not accepted."""
     unseen: Unseen
     urdf_weight: float
     """Weight of the robot description in the fit."""
     trials: dict[float, float]
-    """Loss on left-out blocks for each tried weight of the robot description."""
+    """Loss on left-out blocks, for each tried weight of the robot description."""
     delay: float
     """Delay of the measured efforts [s]."""
     delay_error: float
@@ -169,8 +169,8 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
     """
     Return the robot description with identified inertials and friction.
 
-    `path_or_xml` is the original robot description. Only numbers of inertials and friction change.
-    If the model was not accepted, only friction changes.
+    `path_or_xml` is the original robot description. Only the values of inertials and friction
+    change. If the model was not accepted, only friction changes.
 
     """
     robot = result.robot
@@ -199,7 +199,7 @@ _EXTRAS = {
     'spring_stiffness': 'stiffness',
     'spring_rest': 'rest',
 }
-"""Terms of the node parameters that are written only if a joint needs the parameter."""
+"""Attributes of `DriveTerms` by node parameter; a parameter is omitted if 0 for all joints."""
 
 
 def identified_parameters(result: IdentificationResult) -> str:

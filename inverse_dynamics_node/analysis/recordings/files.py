@@ -31,7 +31,7 @@ class Bag:
         self._reader = reader
 
     def find_topic(self, name: str) -> str | None:
-        """Return the full name of a topic, or None. Leading and trailing slashes are optional."""
+        """Return the full name of a topic, or None if not found; outer slashes are optional."""
         matches = (topic for topic in self.types if topic.strip('/') == name.strip('/'))
         return next(matches, None)
 
@@ -118,7 +118,7 @@ def read_csv(
     """
     Read a CSV file with a column `time` and columns `<joint>.<quantity>`.
 
-    A column `<joint>` contains the first of the quantities, such as 'position'. Columns of other
+    A column `<joint>` contains the first of `quantities`, such as 'position'. Columns of other
     joints are permitted. With `allow_empty`, empty cells become NaN. Raise RecordingError if the
     column `time` is missing or if a cell is not a number. Raise OSError if the file cannot be
     opened.
@@ -179,7 +179,7 @@ def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -
 def _missing_time(
     header: Sequence[str], joint_names: Sequence[str], quantities: Sequence[str]
 ) -> str:
-    """Describe the expected columns and the actual columns."""
+    """Return an error message that lists the actual and the expected columns."""
     problem, found = "has no column 'time'", list(header)
     separator = next((mark for mark in ';\t' if len(header) == 1 and mark in header[0]), None)
     if separator:

@@ -29,9 +29,9 @@ def read_measured_states(
     """
     Read joint states from a rosbag2 folder, or from an .mcap, .db3 or .csv file.
 
-    `topic` has the type sensor_msgs/msg/JointState; the default is the only topic with efforts.
-    `progress` is called regularly with the fraction read so far, 0 to 1. `mimic_names` are joints
-    of the robot that mimic other joints.
+    `topic` has the type sensor_msgs/msg/JointState. The default is the only topic of this type, or
+    the only one with efforts. `progress` is called regularly with the fraction read so far, 0 to
+    1. `mimic_names` are joints of the robot that mimic other joints.
 
     Return the recording, and notes about ignored and missing data. The joints have the order of
     `joint_names`, and the times start at zero. Joints that the robot does not have are ignored.
@@ -200,13 +200,13 @@ def _recording(
         'ignored joints that the robot does not have': [
             name for name in recorded if name not in joint_names and name not in mimic_names
         ],
-        'mimic joints, whose efforts are part of the efforts of the joints that they mimic': [
+        'ignored mimic joints, whose efforts are part of those of the joints that they mimic': [
             name for name in recorded if name in mimic_names
         ],
         'joints that were not recorded and are assumed to rest at zero': [
             name for name in joint_names if name not in recorded
         ],
-        'joints without measured efforts, which are not compared': [
+        'joints without measured efforts, which are not evaluated': [
             joint_names[j] for j in known if not finite[:, 2, j].any()
         ],
     }

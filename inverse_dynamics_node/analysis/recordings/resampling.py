@@ -42,7 +42,7 @@ class Resampler(NamedTuple):
 
 
 def resampler(motion: Motion, seconds: float) -> Resampler:
-    """Return the resampler of a motion. A window of 0 s leaves signals unchanged."""
+    """Return the resampler of a motion; a window of 0 s leaves smooth signals unchanged."""
     from scipy.signal import savgol_coeffs
 
     half = max(round(0.5 * seconds / motion.period), 0)

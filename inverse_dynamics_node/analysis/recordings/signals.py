@@ -6,7 +6,7 @@ determines the smoothed signal and its derivatives. The filter has no delay. Mea
 smoothed over the same window, so that measured and modelled efforts remain comparable.
 
 The module also estimates the noise of the signals and the lag of recorded velocities. The spectrum
-of the efforts shows whether a filter acted before the recording.
+of the efforts shows whether the efforts were filtered before recording.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
 """
 Window [s] and degree of the polynomial, for one and two differentiations.
 
-At 3 Hz, the filters attenuate accelerations by 0.2 % and 0.5 %. At 500 Hz, two differentiations
-turn encoder noise of 1e-4 rad into acceleration noise of 0.05 rad/s^2.
+At 3 Hz, these filters attenuate accelerations by 0.2 % and 0.5 %, respectively. At 500 Hz, two
+differentiations turn encoder noise of 1e-4 rad into acceleration noise of 0.05 rad/s^2.
 """
 MIN_SLACK = 4  # least difference between window length [samples] and degree of the polynomial
 MIN_RATE = 20.0  # lowest sampling rate from which accelerations can be derived [Hz]
@@ -92,12 +92,12 @@ class Motion(NamedTuple):
     lags: Mapping[str, float] = MappingProxyType({})
     """Lags of recorded velocities, by joint [s]. Velocities with a lag are not used."""
     cut_off: float = math.inf
-    """Cut-off frequency of a filter that acted before the recording [Hz]; inf without a filter."""
+    """Cut-off frequency [Hz] of a filter applied to efforts before recording; inf if none."""
     raw_efforts: Floats = np.zeros((0, 0))
     """Efforts before smoothing, shape (K, m) [N m or N]."""
     qd_noise: Floats = np.zeros(0)
     """
-    Noise and resolution of the recorded velocities, shape (m,) [rad/s or m/s].
+    Noise of the recorded velocities, including quantisation, shape (m,) [rad/s or m/s].
 
     Joints without recorded velocities have the noise of the derived velocities.
     """
@@ -216,10 +216,10 @@ def _orders(
     columns: list[RecordedColumn], period: float
 ) -> tuple[list[int], list[str], dict[str, float]]:
     """
-    Return the number of differentiations per column, inconsistent columns, and lags [s].
+    Return the number of differentiations per joint, inconsistent joints, and lags [s].
 
     Velocities that agree with the positions are differentiated once. Otherwise, positions are
-    differentiated twice.
+    differentiated twice. Inconsistent joints have velocities that contradict the positions.
     """
     from scipy.signal import savgol_filter
 
@@ -324,7 +324,7 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
     elif set(orders) == {2}:
         source = 'the recorded positions, differentiated twice'
     else:
-        source = 'recorded velocities that agree with the positions, and otherwise from positions'
+        source = 'recorded velocities if they match the positions, and otherwise from positions'
     return (
         f'accelerations derived from {source}, with a Savitzky-Golay filter of degree {degree} '
         f'over {window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); '
@@ -348,7 +348,7 @@ def _notes(
         notes.append(f'because of gaps, the recording was differentiated in {pieces} pieces')
     if lost > 0.0:
         notes.append(
-            f'ignored {lost:.2g} s in pieces between gaps that are too short to be differentiated'
+            f'ignored {lost:.2g} s in gap-free pieces that are too short to be differentiated'
         )
     return tuple(notes)
 
@@ -432,8 +432,9 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
     """
     Estimate the standard deviation of the white noise that a Savitzky-Golay filter leaves.
 
-    `centre_weight` is the filter's weight of the middle sample. The sum of all squared weights has
-    the same value, because the filter is a projection. The estimate includes quantisation noise.
+    `centre_weight` is the weight that the filter gives to the middle sample. It equals the sum of
+    all squared weights, because the filter is a projection. The estimate includes quantisation
+    noise.
     """
     removed = values - smoothed
     deviation = OUTLIERS * float(np.median(np.abs(removed - np.median(removed))))
@@ -442,7 +443,7 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
 
 
 def resolution(values: Floats) -> float:
-    """Return the step between quantised values, or 0 if nearly all values differ."""
+    """Return the step between quantised values, or 0 if the values are not quantised."""
     levels = np.unique(values)
     # A quantised signal repeats its values, and all steps are multiples of the smallest step.
     if len(levels) < 3 or len(levels) > 0.2 * len(values):
@@ -458,7 +459,7 @@ def lag(recorded: Floats, derived: Floats, period: float) -> float:
     """
     Return the lag of the recorded velocity behind the derived velocity [s].
 
-    Both velocities must be smooth. The lag is zero if no lag explains the difference. `period` is
+    Both velocities must be smooth. The result is 0 if no lag explains the difference. `period` is
     the sampling period [s].
     """
     # The signals are smooth, so fewer samples contain the same information.
@@ -485,11 +486,12 @@ def lag(recorded: Floats, derived: Floats, period: float) -> float:
 
 def cut_off(efforts: Floats, period: float) -> float:
     """
-    Return the cut-off frequency of a filter that acted before the recording [Hz].
+    Return the cut-off frequency [Hz] of a filter applied to the efforts before recording.
 
     Sensor noise reaches up to half the sampling rate. If the spectrum falls steeply at a few hertz
-    and continues to fall, a filter has removed the noise. The result is inf without a filter. The
-    efforts are not smoothed. `period` is the sampling period [s].
+    and continues to fall, a filter has removed the noise. The result is inf if there was no
+    filter. `efforts` are the recorded efforts before smoothing. `period` is the sampling period
+    [s].
     """
     count = len(efforts)
     line = np.linspace(efforts[0], efforts[-1], count)
@@ -514,7 +516,7 @@ def cut_off(efforts: Floats, period: float) -> float:
 
 
 def _passed(frequencies: Floats, power: Floats) -> float:
-    """Return the highest frequency [Hz] that a spectrum contains."""
+    """Return the highest frequency [Hz] at which a spectrum has significant power."""
     octaves = [
         (f, float(np.mean(found)))
         for f in np.geomspace(0.25, 0.25 * frequencies[-1], 40)

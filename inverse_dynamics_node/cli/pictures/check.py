@@ -17,7 +17,7 @@ from . import style
 
 _BINS = 80
 _HALF = 0.42
-"""Half of the largest height of a distribution [row heights]."""
+"""Half the height of a distribution at its peak, as a fraction of the row height."""
 _REACH = 1.12
 """The effort axis ends at this multiple of the worst effort."""
 _MAX_RATIO = 1.2
@@ -100,7 +100,7 @@ def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
 
 
 def _draw_ratios(axes: Any, workspace: Workspace) -> None:
-    """Draw the ratio of the worst effort to the limit as a bar for each joint."""
+    """Draw a bar for each joint: the ratio of its worst effort to its limit."""
     count = len(workspace.limits)
     shown = style.without_rounding(workspace.peaks)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
@@ -136,8 +136,8 @@ def draw_arm(
     """
     Draw the robot from the side, with gravity pointing down.
 
-    The joint is highlighted, and the link is marked. View 0 shows the widest side of the
-    robot, and view 1 is turned by 90 degrees.
+    The joint with the index `joint` is highlighted, and a triangle marks `link`. View 0 shows the
+    widest side of the robot, and view 1 is turned by 90 degrees.
     """
     robot = dynamics.robot
     rotations, positions = body_frames(robot, q)
@@ -173,7 +173,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the projection to the directions across and up, shape (3, 2)."""
+    """Return the matrix that projects points onto the picture plane, shape (3, 2)."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]
@@ -251,7 +251,7 @@ def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
     """
     Write the numbers of the joints without overlaps.
 
-    A label without a free place is omitted, because the rows beside the picture show all numbers.
+    A label that fits nowhere is omitted, because the rows beside the robot show all numbers.
     """
     figure = axes.figure
     figure.canvas.draw()  # the layout determines the free places

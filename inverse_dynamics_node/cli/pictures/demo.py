@@ -21,7 +21,7 @@ LEGEND, KEY = 120, 8  # widths of the legend and of a line sample [letters]
 MOST_IN_ONE = 10
 """With more joints than this, the efforts of each joint have a separate row."""
 LEAST_FRACTION = 1e-3
-"""Smallest scale of an effort, as a fraction of the limit or of the largest effort."""
+"""Smallest scale of a joint, as a fraction of its limit, or of the largest effort if unlimited."""
 LINE = 0.19  # height of a line of text [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -174,7 +174,7 @@ def draw_identification(
     title: str,
     path: Path,
 ) -> None:
-    """Draw the errors of both runs on the same scale, and the RMS error of each joint."""
+    """Draw the position errors of both runs on the same scale, and the RMS error of each joint."""
     with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))
@@ -203,7 +203,7 @@ def _draw_errors(axes: Any, history: History, names: tuple[str, ...]) -> None:
 
 
 def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats]) -> None:
-    """Draw both errors of every joint as bars, and their ratio as text."""
+    """Draw the RMS errors of each joint in both runs as bars, and their ratio as text."""
     before, after = (1000.0 * values for values in errors)
     places = np.arange(len(names))
     axes.barh(places - 0.18, before, 0.34, color=style.ORANGE, label='RMS with the URDF')

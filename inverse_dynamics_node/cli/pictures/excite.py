@@ -87,7 +87,7 @@ def _draw_view(
     across: int,
     up: int,
 ) -> None:
-    """Draw the box around all links, the path of the hand, and the arm in its start pose."""
+    """Draw the arm in its start pose, the path of the hand, and the box that all links stay in."""
     plane = [across, up]
     (left, bottom), (right, top) = box.lowest[plane], box.highest[plane]
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
@@ -121,7 +121,7 @@ def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) ->
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
-    """Return a label, and the efforts in percent of the limit, or of the peak without a limit."""
+    """Return a label, and efforts in percent of the limit, or of the peak if there is no limit."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
     of = 'of allowed effort' if has_limit.all() else 'of allowed effort, or of peak'

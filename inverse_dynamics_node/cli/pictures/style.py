@@ -26,10 +26,10 @@ BLUE, ORANGE, GREEN, PINK, SKY, RED = (
 """The palette of Okabe and Ito, which is suitable for colour-blind readers."""
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 MEASURED = {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}
-"""Look of measured values, which other lines may cover."""
+"""Look of measured values: a wide line, because other lines are drawn over it."""
 _COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED, DARK)
 _DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
-"""Five line styles, which distinguish 35 joints in seven colours."""
+"""Five line styles; together with seven colours, they distinguish 35 joints."""
 WIDTH = 9.0
 """Width of a picture [inch]; at 100 dots per inch, the text is legible in a README."""
 _MOST_HEIGHT = 60.0  # [inch]
@@ -43,7 +43,7 @@ _NEGLIGIBLE = 1e-6
 _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
 _TITLE_LINES = 5
-"""Largest number of lines in the title, before an ellipsis."""
+"""Largest number of lines in the title; an ellipsis replaces the rest."""
 
 _HOW_TO_GET_PICTURES = (
     "To get pictures, run 'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a "
@@ -74,7 +74,7 @@ _STYLE = {
 
 @contextmanager
 def styled_pyplot() -> Iterator[Any]:
-    """Apply the style within the body, and yield pyplot without windows."""
+    """Apply the style in the ``with`` block; yield pyplot, set up to open no windows."""
     import matplotlib
 
     matplotlib.use('Agg')
@@ -88,7 +88,7 @@ def styled_pyplot() -> Iterator[Any]:
 
 
 def panels(pyplot: Any, count: int, columns: int, row_height: float) -> tuple[Any, Any]:
-    """Return a figure, and `count` panels over the same time; `row_height` is in inch."""
+    """Return a figure, and `count` panels with a common time axis; `row_height` is in inches."""
     rows = -(-count // columns)
     figure, grid = pyplot.subplots(
         rows,
@@ -118,7 +118,7 @@ def set_title(figure: Any, *paragraphs: str) -> None:
 
 
 def peak_in_words(peak: float, limit: float, unit: str) -> str:
-    """Return a text with a peak effort and the limit."""
+    """Return a string with a peak effort and the limit."""
     return (
         f'{peak:.3g} of {number(limit)} {unit}'
         if limit < math.inf
@@ -127,7 +127,7 @@ def peak_in_words(peak: float, limit: float, unit: str) -> str:
 
 
 def runs_of(numbers: Sequence[int]) -> str:
-    """Return a short list of numbers as text, such as '1, 3-6'."""
+    """Return the numbers as a short string, such as '1, 3-6'."""
     runs: list[list[int]] = []
     for each in sorted(numbers):
         if runs and each == runs[-1][-1] + 1:
@@ -187,7 +187,7 @@ def draw_lines(axes: Any, times: Floats, values: Floats, names: Sequence[str]) -
 def draw_signals(
     axes: Any, times: Floats, column: int, signals: Iterable[tuple[Floats, dict[str, Any]]]
 ) -> list[Any]:
-    """Draw one column of each array in `signals` with the given look; return the lines."""
+    """Draw one column of each array in `signals`, each with its own look; return the lines."""
     return [axes.plot(*thinned(times, values[:, column]), **look)[0] for values, look in signals]
 
 
@@ -201,7 +201,7 @@ def thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def without_rounding(peaks: Floats) -> Floats:
-    """Replace peak efforts that are only rounding errors by zero."""
+    """Set peak efforts to zero if they are only rounding errors."""
     return np.where(peaks <= _NEGLIGIBLE * np.max(peaks), 0.0, peaks)
 
 
@@ -216,7 +216,7 @@ def fewer_ticks(*axes: Any) -> None:
 def legend_below(
     figure: Any, handles: Sequence[Any], labels: Sequence[str], **options: Any
 ) -> None:
-    """Place a legend below all axes, which matplotlib 3.6 cannot do alone."""
+    """Place a legend below all axes, and make room for it, because matplotlib 3.6 does not."""
     legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
     height = legend.get_window_extent().height / figure.bbox.height
     figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))

@@ -1,13 +1,15 @@
 """
 Code generation for one robot.
 
-The functions of `newton_euler` and `mass_matrix` run once, with a `RunTimeNumber` for every joint
-state and load. Arithmetic on a `RunTimeNumber` emits an instruction instead of computing a result.
-Constants of the robot, such as joint types and offsets, remain plain numbers. The generated code
-therefore contains no loops, no branches, and no products with a constant zero.
+To generate code, the functions of `newton_euler` and `mass_matrix` run once. In this run, every
+joint state and load is a `RunTimeNumber`. Arithmetic on a `RunTimeNumber` emits an instruction
+instead of computing a result. Constants of the robot, such as joint types and offsets, remain
+plain numbers. The generated code therefore contains no loops, no branches, and no products with a
+constant zero.
 
-At each call, the code reads the loads from the robot table. The code omits loads that are zero
-during generation. `GeneratedDynamics` detects when such a load becomes nonzero.
+At each call, the code reads the loads from the robot table. Payloads, gravity and other loads
+that are zero during generation are left out. `GeneratedDynamics` detects when such a load becomes
+nonzero.
 """
 
 from __future__ import annotations
@@ -29,11 +31,16 @@ if IS_COMPILED:
 
 
 Code = tuple[Callable[[], int], Callable[[Any, Any, Any, Any], int]]
-"""Functions of the block in memory, and of q, qd, qdd and tau; each returns a status of `jit`."""
+"""
+Two functions that return a status code of the module `jit`.
+
+The first function reads and writes the ``block`` of `write_out`. The second function has the
+arguments q, qd, qdd and tau.
+"""
 
 
 def acting_numbers(table: Floats) -> Any:
-    """Return a mask of the nonzero numbers that may change between calls."""
+    """Return a mask of the numbers in a table that are nonzero and may change between calls."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
         robot_table.MASS,
@@ -88,7 +95,7 @@ def write_out(table: Floats, block: Floats) -> Code:
 
 def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], int]:
     """
-    Compile `mass_matrix.mass_matrix` for one robot, as a function of q and the matrix.
+    Compile `mass_matrix.mass_matrix` for one robot, as a function with the arguments q and matrix.
 
     At each call, the code reads the numbers of the table that the mask ``acting`` selects. The
     table must exist as long as the code, because the code contains the address of the table.
@@ -134,7 +141,7 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Return copies of the compiled functions that emit instructions with the writer."""
+    """Copy the compiled functions; the copies emit instructions with the writer."""
     # The inputs are checked too, because omitted products with zero do not propagate NaN or inf.
     zero_if_finite = sum(x - x for x in inputs)
 
@@ -199,7 +206,7 @@ class Writer:
         return RunTimeNumber(self, write(*map(self._value, numbers), flags=('contract',)))
 
     def load(self, address: Any, k: int) -> RunTimeNumber:
-        """Load number k of the array at an address."""
+        """Emit an instruction that loads number k of the array at an address."""
         return RunTimeNumber(self, self.builder.load(self._pointer(address, k)))
 
     def store(self, number: Any, address: Any, k: int) -> None:
@@ -217,7 +224,7 @@ class Writer:
         return write
 
     def status(self, number: Any) -> Any:
-        """Emit the status `NOT_FINITE` if a number is NaN, otherwise `OK`."""
+        """Emit instructions for the status: `NOT_FINITE` if a number is NaN, otherwise `OK`."""
         value = self._value(number)
         is_nan = self.builder.fcmp_unordered('uno', value, value)
         return self.builder.select(is_nan, *(self.integer(x) for x in (NOT_FINITE, OK)))

@@ -16,7 +16,7 @@ from .codegen import acting_numbers, Code, write_out, write_out_mass_matrix
 
 
 class State(NamedTuple):
-    """State and efforts of n joints, in arrays of shape (n,) that are overwritten in place."""
+    """Arrays of shape (n,) for n joints; callers fill q, qd and qdd, and `update` fills tau."""
 
     q: Floats
     """Joint positions [rad or m]."""
@@ -29,7 +29,7 @@ class State(NamedTuple):
 
 
 def no_code(*_: Any) -> int:
-    """Return a status other than `OK`; used where no generated code fits the loads."""
+    """Return a status other than `OK`; replaces code that is missing or omits a nonzero load."""
     return -1
 
 
@@ -41,9 +41,9 @@ class GeneratedDynamics:
     """
     Fast inverse dynamics for control loops, with code that is generated for one robot.
 
-    The results equal those of `InverseDynamics` except for rounding errors, because the processor
-    may fuse multiplications and additions. A change of gravity, base motion, payloads, wrenches,
-    friction or armature in ``dynamics`` applies at once, without another compilation.
+    The results may differ from those of `InverseDynamics` by rounding errors, because the
+    processor may fuse multiplications and additions. A change of gravity, base motion, payloads,
+    wrenches, friction or armature in ``dynamics`` applies at once, without another compilation.
 
     The code omits loads that are zero when the object is created. If such a load becomes nonzero,
     `InverseDynamics` computes the efforts until the load is zero again. Without numba,
@@ -88,7 +88,7 @@ class GeneratedDynamics:
 
     def update(self) -> Floats:
         """
-        Compute the efforts for the values in ``state``; no other call from Python is faster.
+        Compute the efforts for the values in ``state``; this is the fastest call from Python.
 
         Returns
         -------
@@ -145,7 +145,7 @@ class GeneratedDynamics:
         return self._dynamics.mass_matrix(q, out)
 
     def _first_mass_matrix(self, q: Any, matrix: Any) -> int:
-        """Compile and run the code of the mass matrix."""
+        """Compile and run the code for the mass matrix."""
         self._compiled_mass_matrix = no_code
         if IS_COMPILED:
             try:
@@ -156,7 +156,7 @@ class GeneratedDynamics:
         return self._mass_matrix(q, matrix)
 
     def _select_code(self) -> None:
-        """Use `InverseDynamics` while a load that the generated code omits is nonzero."""
+        """Select the generated code, or `InverseDynamics` if the code omits a nonzero load."""
         self._revision = self._dynamics.revision
         is_new = (acting_numbers(self._table) & ~self._traced).any()
         self._in_block, self._in_arrays = NO_CODE if is_new else self._code

@@ -24,7 +24,7 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """A mimic joint has the position ``multiplier * position of master + offset``."""
+    """A mimic rule: the joint has the position ``multiplier * position of master + offset``."""
 
     master: str
     multiplier: float
@@ -32,7 +32,7 @@ class Mimic(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """A joint of the URDF; missing limits are infinite."""
+    """A joint of the URDF; an infinite limit means no limit."""
 
     name: str
     kind: str
@@ -59,7 +59,7 @@ class _Placement(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """A movable joint, and its pose in the frame of the parent body at position 0."""
+    """A body: the joint that moves it, and its pose in the parent's frame at joint position 0."""
 
     joint: Joint
     parent: int
@@ -76,8 +76,8 @@ def build_model(
     """
     Merge links into bodies, and resolve mimic joints.
 
-    ``links`` and ``joints`` must form one tree. Warnings about joints that move no mass are added
-    to ``warnings``.
+    ``links`` and ``joints`` must form one tree. The model contains the given ``warnings``, and
+    warnings about joints that move no mass.
 
     """
     root, bodies, placements = _place(links, joints)
@@ -168,7 +168,7 @@ def _merge(
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
     """
-    Return the mimic rule of every joint, without chains of mimic joints.
+    Return a mimic rule for every joint; chains of mimic joints are resolved.
 
     A joint that is not a mimic joint follows itself.
 
@@ -196,8 +196,8 @@ def _folded_friction(
     Return damping and friction of the joints, including those of their mimic joints.
 
     A mimic joint with multiplier m moves m times as fast as its master, and the effort of the
-    mimic joint acts m times on the master. The viscous friction of a mimic joint is therefore
-    multiplied by m squared, and the Coulomb friction by |m|.
+    mimic joint acts on the master, multiplied by m. The viscous friction of a mimic joint is
+    therefore multiplied by m squared, and the Coulomb friction by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)
@@ -219,7 +219,7 @@ def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> 
     idle = [body.joint.name for i, body in enumerate(bodies, 1) if carried[i] == 0.0]
     if len(idle) == len(bodies):
         text = 'no joint moves any mass, so every gravity effort is zero'
-        return [ModelWarning(text, 'write <inertial>; without masses, all efforts are zero')]
+        return [ModelWarning(text, 'write <inertial> for the links that the joints move')]
     text = 'moves no mass, so its gravity effort is always zero'
     hint = 'write <inertial> for the links that this joint moves, unless the links are only frames'
     return [ModelWarning(text, hint, f"joint '{name}'") for name in idle]

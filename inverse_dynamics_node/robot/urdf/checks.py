@@ -93,7 +93,7 @@ def _check_version(root: Element, problems: Problems) -> None:
     version = version_of(root)
     if version not in VERSIONS:
         expected = f'expected one of {", ".join(VERSIONS)}'
-        problems.error(root, f'robot version {quoted(version)} is not supported; {expected}')
+        problems.error(root, f'URDF version {quoted(version)} is not supported; {expected}')
 
 
 def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> None:
@@ -125,7 +125,7 @@ def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) 
 def _check_ends(
     joint: Element, links: Mapping[str, Element], problems: Problems
 ) -> tuple[str, str] | None:
-    """Return the names of the parent and child links of a joint if both exist."""
+    """Return the names of a joint's parent and child links, or None if they are invalid."""
     where, ends = label(joint), []
     for end in ('parent', 'child'):
         element = _only_child(joint, end)
@@ -201,9 +201,10 @@ def check_missing_inertials(
     are_required: bool,
 ) -> None:
     """
-    Report links that have a shape but no inertial, as errors if ``are_required`` is true.
+    Report links that have a shape but no inertial: errors if ``are_required``, else warnings.
 
-    Links without a shape are frames. The root link is not checked, because it may be the ground.
+    Links without a shape are assumed to be mere frames. The root link is not checked, because it
+    may be the ground.
 
     """
     held = {end.get('link') for joint in joints.values() for end in children(joint, 'child')}
@@ -220,13 +221,13 @@ def check_missing_inertials(
 
 
 _FEWEST_ALIKE = 3
-"""Smallest number of equal links for a warning, because two links may be identical parts."""
+"""Fewer links with equal values cause no warning, because two links may be identical parts."""
 _FRACTION_ALIKE = 0.8
-"""Equal values on this fraction of the links with mass are placeholders."""
+"""If at least this fraction of the links with mass have equal values, warn of placeholders."""
 
 
 def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> None:
-    """Warn about equal masses or inertias, which are probably placeholders."""
+    """Warn about unit masses and about unit or equal inertias, which are probably placeholders."""
     masses: dict[str, float] = {}
     tensors: dict[str, tuple[float, ...]] = {}
     for name, link in links.items():

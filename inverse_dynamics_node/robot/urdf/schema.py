@@ -51,10 +51,10 @@ CHILDREN = {
         'safety_controller',
     ),
 }
-"""Child elements that the dynamics need; only links and joints may occur more than once."""
+"""Child elements that are checked; only links and joints may occur more than once."""
 
 READ_ONCE = 'origin'
-"""Only the first element of this kind in a parent is used."""
+"""Only the first element of this kind in a parent element is used."""
 
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
 """Child elements that have a meaning in a fixed joint."""
@@ -81,7 +81,7 @@ MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 
 
 def inertia_tensor(moments: Sequence[float]) -> Floats:
-    """Return the inertia with the values of `MOMENTS`, shape (3, 3)."""
+    """Return the inertia tensor, shape (3, 3), from six values in the order of `MOMENTS`."""
     ixx, ixy, ixz, iyy, iyz, izz = moments
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
 
@@ -118,7 +118,7 @@ RULES = {
 # Errors and warnings
 
 _MAX_LINE = 65535
-"""Largest line number in libxml2, which all later lines get, too."""
+"""Largest line number that libxml2 reports; all later lines get the same number."""
 
 
 class Problems:
@@ -137,17 +137,17 @@ class Problems:
         return [warning for _, warning in sorted(self._warnings, key=lambda entry: entry[0])]
 
     def error(self, element: Element, text: str) -> None:
-        """Add an error with the line of an element."""
+        """Add an error at the line of an element."""
         line = _line_of(element)
         text = text if line is None else f'line {line}: {text}'
         self._errors.append((element.sourceline, text))
 
     def error_of_all(self, text: str) -> None:
-        """Add an error about the whole description, after all other errors."""
+        """Add an error about the whole description; it is listed after all other errors."""
         self._errors.append((math.inf, text))
 
     def warning(self, element: Element, subject: str, text: str, hint: str) -> None:
-        """Add a warning with the line of an element."""
+        """Add a warning at the line of an element."""
         warning = ModelWarning(text, hint, subject, _line_of(element))
         self._warnings.append((element.sourceline, warning))
 
@@ -171,7 +171,7 @@ def quoted(text: str) -> str:
 
 # Python's float() also accepts '1_000', 'nan', 'infinity' and the digits of other scripts.
 _DECIMAL = re.compile(r'[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?')
-_SPELLING = 'correct the spelling, or remove it'
+_SPELLING = 'correct the spelling, or remove the element or attribute'
 
 
 def check_children(
@@ -254,7 +254,7 @@ def _missing(kind: str, names: list[str]) -> str:
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...] | str:
-    """Return the numbers in a text, or an error message if the text is invalid."""
+    """Return the numbers in ``text``, or an error message if it is invalid."""
     words = text.split() if text.isascii() else [text]
     if count > 1 and len(words) != count:
         hint = ' (use spaces, not commas)' if ',' in text else ''
@@ -273,14 +273,14 @@ def is_finite_decimal(word: str) -> bool:
 
 
 def written(element: Element, name: str) -> str:
-    """Return the text of an attribute on one line."""
+    """Return the text of an attribute as a single line."""
     return ' '.join(element.get(name, '').split())
 
 
 UNIT_TOLERANCE = 1e-3
 """Tolerated error of a unit vector's norm, because files contain rounded numbers."""
 _QUATERNION_TOLERANCE = 0.1
-"""Tolerated error of a quaternion's norm; larger errors are typing errors."""
+"""Tolerated error of a quaternion's norm; larger errors are probably typos."""
 _MAX_RPY = 7.0
 """Slightly more than one turn [rad]; a larger angle is probably in degrees."""
 
@@ -288,11 +288,11 @@ _MAX_RPY = 7.0
 def check_rotation(
     origin: Element, where: str, values: Mapping[str, tuple[float, ...]], problems: Problems
 ) -> None:
-    """Check the roll, pitch and yaw or the quaternion of an origin."""
+    """Check the rotation of an origin, given as roll, pitch and yaw or as a quaternion."""
     if 'quat_xyzw' in origin.attrib:
         _check_quaternion(origin, where, values, problems)
     if any(abs(angle) > _MAX_RPY for angle in values.get('rpy', ())):
-        text = f"'{origin.get('rpy')}' is more than a turn; angles are in radians"
+        text = f"'{origin.get('rpy')}' contains an angle of more than a turn; angles are in rad"
         problems.warning(origin, f'{where} rpy', text, 'convert the angles from degrees')
 
 
@@ -380,7 +380,9 @@ def _warn_of_odd_inertia(
         )
         problems.warning(inertial, where, text, _TENSOR_HINT)
     if mass > 0.0 and large * largest > _MAX_GYRATION**2 * mass:
-        text = f'radius of gyration is more than {_MAX_GYRATION:g} m; inertias are in kg m^2'
+        text = (
+            f'radius of gyration is more than {_MAX_GYRATION:g} m; a URDF has inertias in kg m^2'
+        )
         hint = 'convert the inertia to kg m^2: numbers from CAD in g mm^2 are 1e9 times larger'
         problems.warning(inertial, where, text, hint)
 
@@ -390,7 +392,7 @@ def _warn_of_odd_inertia(
 _LIMITED_TYPES = ('revolute', 'prismatic')
 _UNSUPPORTED_TYPES = {
     'planar': 'use two prismatic joints and a continuous one, with massless links between them',
-    'floating': 'remove this joint, because the motion of the base is given separately',
+    'floating': 'remove this joint, and set the parameter base_motion of the node instead',
 }
 
 MIN_AXIS_LENGTH = 1e-6

@@ -25,10 +25,11 @@ class Shape(NamedTuple):
 
 def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[str, str]]:
     """
-    Read the collision shapes of a robot, including mesh files.
+    Read the collision shapes of a robot, including those in mesh files.
 
-    `load_urdf` must accept the description. The first result contains the readable shapes. The
-    second result maps each link with an unreadable shape to the reason.
+    Call this function only with a description that `load_urdf` accepts. The first result contains
+    the readable shapes. The second result maps the name of each link that has an unreadable shape
+    to an error message.
 
     """
     source = read_source(path_or_xml)
@@ -82,7 +83,7 @@ def _mesh(solid: Element, folder: Path | None) -> Any:
 
 
 def _mesh_file(name: str, folder: Path | None) -> Path:
-    """Find a mesh file by its path, or in an installed or nearby ROS package."""
+    """Find a mesh file by its path, in an installed package, or in a parent folder of the URDF."""
     scheme, _, rest = name.rpartition('://')
     if scheme not in ('package', 'model'):
         paths = [Path(rest) if folder is None else folder / rest]

@@ -48,7 +48,7 @@ class _Node:
     children: list[_Node] = field(default_factory=list)
 
     def first(self, kind: str) -> _Node | None:
-        """Return the first child of a kind; `load_urdf` ignores the other children."""
+        """Return the first child with this tag; `load_urdf` ignores any others."""
         return next((child for child in self.children if child.kind == kind), None)
 
 
@@ -60,9 +60,9 @@ def rewrite(
     """
     Replace inertials and friction in a valid URDF; return the new text.
 
-    ``inertials`` maps link names to bodies in the link frames. An existing inertial frame keeps
-    its axes. ``friction`` maps joint names to friction. Missing elements are added. The result has
-    the encoding of the original. New numbers have 17 significant digits.
+    ``inertials`` maps link names to bodies, each in the link frame. An existing inertial frame
+    keeps its axes. ``friction`` maps joint names to friction. Missing elements are added. The
+    result has the encoding of the original. New numbers have 17 significant digits.
 
     """
     source = read_source(path_or_xml)
@@ -81,7 +81,7 @@ def rewrite(
 
 
 def _parse(text: bytes) -> _Node:
-    """Return the root element of a text."""
+    """Return the root element of an XML text."""
     roots: list[_Node] = []
     opened: list[_Node] = []
     parser = expat.ParserCreate('utf-8')
@@ -143,7 +143,7 @@ def _friction_edits(
 
 
 def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int, bytes]:
-    """Return an edit that inserts lines after an element's children, with the same indentation."""
+    """Return an edit that inserts lines after the children of an element, indented like them."""
     outer = _indent(text, parent.start)
     inner = outer + _INDENT if outer else b''
     if parent.children:
@@ -160,7 +160,7 @@ def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int,
 
 
 def _indent(text: bytes, start: int) -> bytes:
-    """Return the line break and the spaces directly before an element, or ''."""
+    """Return the line break and indentation before an element, or '' if text precedes it."""
     found = re.search(rb'\r?\n[ \t]*$', text[:start])
     return found[0] if found else b''
 

@@ -1,4 +1,4 @@
-"""Parses URDF sources with a hardened parser: no DTD, no network access, no repair."""
+"""Parses URDF sources with a hardened parser, without DTDs or network access."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Element = Any
 """An lxml element; lxml has no type annotations."""
 
 MAX_BYTES = 16 * 2**20
-"""Largest size [bytes], ten times the size of the largest real robot description."""
+"""Largest accepted size of a robot description [bytes], ten times the largest real one."""
 
 MAX_LINKS = 1000
-"""Largest number of links, and of joints; real robots have far fewer."""
+"""Largest accepted number of links, and of joints; real robots have far fewer."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -37,7 +37,7 @@ class Source(NamedTuple):
     name: str
     data: bytes
     encoding: str | None
-    """Encoding, or None if the byte order mark or the declaration states the encoding."""
+    """Encoding, or None to use `declared_encoding`."""
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
@@ -83,7 +83,7 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
 
 
 def shortened(text: str, length: int = 80) -> str:
-    """Return a text, or the start of a long text."""
+    """Truncate a text that has more than `length` characters."""
     return text if len(text) <= length else f'{text[:length]}...'
 
 
@@ -121,7 +121,7 @@ def tag(element: Element) -> str:
 
 
 def children(element: Element, kind: str) -> list[Element]:
-    """Return the children of a kind, in file order."""
+    """Return the children with this tag, in file order."""
     return [child for child in element if tag(child) == kind]
 
 
@@ -155,7 +155,7 @@ def declared_encoding(data: bytes) -> str:
 
 
 def blank_declaration(data: bytes) -> bytes:
-    """Replace an XML declaration with spaces of the same length."""
+    """Replace every character of an XML declaration, except line breaks, with a space."""
     found = _DECLARATION.match(data)
     if not found:
         return data
@@ -163,7 +163,7 @@ def blank_declaration(data: bytes) -> bytes:
 
 
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Replace an XML declaration that only libxml2 rejects; return the source and a warning."""
+    """Blank an XML declaration that only libxml2 rejects; return the source and any warning."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []
@@ -175,7 +175,7 @@ def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]
 
 
 def _undeclared_prefixes(log: Any) -> list[ModelWarning]:
-    """Return warnings about undeclared namespace prefixes, if there are no other errors."""
+    """Return warnings about undeclared namespace prefixes, or [] if there are other errors."""
     errors = [entry for entry in log if entry.level >= etree.ErrorLevels.ERROR]
     if any(entry.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for entry in errors):
         return []
@@ -184,7 +184,7 @@ def _undeclared_prefixes(log: Any) -> list[ModelWarning]:
         first_lines.setdefault(entry.message, entry.line)
     hint = 'harmless; declare the namespace, or remove the element or attribute'
     return [
-        ModelWarning(f'{message}; it is ignored', hint, line=line)
+        ModelWarning(f'{message}; the element or attribute is ignored', hint, line=line)
         for message, line in first_lines.items()
     ]
 

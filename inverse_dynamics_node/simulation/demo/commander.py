@@ -1,9 +1,9 @@
 """
-The commander: sends a reference to the node for every joint state, and records the motion.
+The commander: sends the node a message for every joint state, and records the motion.
 
-The commander sends accelerations or a full reference. With accelerations, the commander closes the
-control loop by resolved acceleration. The error e of every joint then obeys
-``e'' + kd e' + kp e = 0``. With a full reference, the node closes the loop.
+The message has desired accelerations or a full reference. If it has accelerations, the commander
+closes the control loop, with resolved-acceleration control. The error e of every joint then obeys
+``e'' + kd e' + kp e = 0``. If the message has a full reference, the node closes the loop.
 """
 
 from __future__ import annotations
@@ -59,17 +59,21 @@ class Series:
 
 
 class History:
-    """The motion of n joints, and the messages of the node; times begin with the motion [s]."""
+    """
+    The recorded motion of n joints, and the recorded messages of the node.
+
+    All times except ``arrivals`` are measured from the start of the motion [s].
+    """
 
     def __init__(self) -> None:
         self.states = Series()
-        """Positions, desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
+        """Positions and desired positions [rad or m], efforts [N m or N]; rows of shape (3, n)."""
         self.commands = Series()
         """Commanded efforts [N m or N]; rows with one value per commanded joint."""
         self.external = Series()
         """Estimated external efforts [N m or N], NaN without an estimate; rows of shape (n,)."""
         self.brakes = Series()
-        """Changes of the brakes: 1 when they went on, 0 when they opened."""
+        """Changes of the brakes: 1 when the brakes engaged, 0 when the brakes opened."""
         self.arrivals: list[float] = []
         """Arrival times of the commands on the steady clock [s]."""
 
@@ -107,10 +111,10 @@ def resolved_acceleration(
 
 class Commander(Node):
     """
-    Records the motion of the robot, and sends references after the first call of `follow`.
+    Records the motion of the robot, and sends messages after the first call of `follow`.
 
-    The joints are in the order of the node. ``sends`` is the kind of message that follows every
-    joint state: 'accelerations', 'reference', or '' for no message.
+    ``joint_names`` are in the order that the node uses. ``sends`` is the kind of message that the
+    commander sends for every joint state: 'accelerations', 'reference', or '' for no message.
     """
 
     def __init__(self, joint_names: tuple[str, ...], sends: str = 'accelerations') -> None:
@@ -124,7 +128,7 @@ class Commander(Node):
         self.commands = 0
         """Number of commands received from the node."""
         self.external_efforts = 0
-        """Number of messages about external efforts received from the node."""
+        """Number of external-effort estimates received from the node."""
         self.brakes_on = True
         """Whether the brakes are on."""
         self.history = History()
@@ -168,7 +172,7 @@ class Commander(Node):
         ]
 
     def publish(self, topic: str, message: Any) -> None:
-        """Publish a message; a header gets the stamp of the latest joint state."""
+        """Publish a message; its header, if any, gets the stamp of the latest joint state."""
         if hasattr(message, 'header'):
             message.header.stamp = self._stamp
         self._event_publishers[topic].publish(message)
@@ -187,7 +191,7 @@ class Commander(Node):
 
     @property
     def now(self) -> float:
-        """Time since the start of the trajectory [s], even while joint states are missing."""
+        """Time since the start of the trajectory [s]; also runs while joint states are missing."""
         waited = self.silence if self.silence > SILENT else 0.0
         self._now = max(self._now, self.time + waited)
         return self._now

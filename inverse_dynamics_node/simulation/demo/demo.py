@@ -2,7 +2,7 @@
 The demo: runs the node on a simulated robot, and records the motion.
 
 Three processes communicate over ROS topics: the robot, the node, and this process. This process
-sends references to the node and records the motion.
+sends the desired motion to the node, and records the measured motion.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class DemoResult(NamedTuple):
 
 
 def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoResult:
-    """Run a scenario, print the measurements, and write the recording."""
+    """Run a scenario, print its progress, and record it if ``options.record`` is set."""
     scenario = SCENARIOS[options.scenario]
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
@@ -101,7 +101,7 @@ def _environment_hint() -> str:
 
 
 def describe_rotors(setup: DemoSetup) -> str:
-    """Explain which joints get rotor inertia in the demo."""
+    """List the joints to which the demo adds rotor inertia, and explain why."""
     robot = setup.robot
     rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
@@ -113,10 +113,10 @@ def describe_rotors(setup: DemoSetup) -> str:
     rest = f' and {len(rotors) - MOST_LISTED} more' if len(rotors) > MOST_LISTED else ''
     listed = ', '.join(rotors[:MOST_LISTED]) + rest
     text = (
-        'The URDF gives friction to joints that have hardly any inertia, because the rotors of '
-        'the motors are missing. The demo adds rotor inertias to the robot and the node: '
-        f'{listed}. For your robot, determine the rotor inertias and set the parameter '
-        "'armature' of the node."
+        'Some joints of the URDF have friction but hardly any inertia, because the URDF lacks the '
+        'rotors of the motors. The demo adds rotor inertias to the simulated robot and to the '
+        f'model in the node: {listed}. For your robot, determine the rotor inertias '
+        "and set the parameter 'armature' of the node."
     )
     return fill(text, 100, break_on_hyphens=False)
 
@@ -128,7 +128,7 @@ def commands_of(
     node: list[str],
     parameters: Mapping[str, str],
 ) -> dict[str, list[str]]:
-    """Return the arguments of ``python -m`` for each process, by name of the process."""
+    """Map the name of each process to the arguments of ``python -m`` that start the process."""
     package = 'inverse_dynamics_node'
     parameters = {'update_rate': '0.0', **parameters, **scenario.parameters}
     return {
@@ -156,9 +156,9 @@ def perform(
     """
     Start robot and node, follow the timeline, and end the processes.
 
-    ``commands`` are from `commands_of`. ``stopped`` returns True if the user wants to stop. If
-    ``record`` is not None, the topics are recorded to the folder ``record``. For ``standing``, see
-    `DemoRun.perform`. Return the history and the number of recorded messages.
+    ``commands`` come from `commands_of`. ``stopped`` returns True if the user wants to stop. If
+    ``record`` is not None, the topics from `topics_of` are recorded to the folder ``record``. For
+    ``standing``, see `DemoRun.perform`. Return the history and the number of recorded messages.
     """
     with running(commands, view.log if view.is_live else None) as processes:
         start_ros([])
@@ -198,7 +198,7 @@ class DemoRun:
             self.recorder = Recorder(self.commander, topics, latched=('brakes',))
 
     def close(self) -> None:
-        """Destroy the ROS nodes of this process."""
+        """Shut down the executor, and destroy the ROS node of this process."""
         self._executor.remove_node(self.commander)
         self._executor.shutdown()
         self.commander.destroy_node()
@@ -207,8 +207,9 @@ class DemoRun:
         """
         Wait for robot and node, and follow the timeline for a duration [s].
 
-        The node receives the reference ``standing`` from the first joint state on. If ``standing``
-        is None, the node holds the robot without a reference until the timeline starts.
+        As soon as joint states arrive, the reference ``standing`` is sent to the node. If
+        ``standing`` is None, the node holds the robot without a reference until the timeline
+        starts.
         """
         # Garbage collection of the objects of the libraries would take 0.1 s each time.
         gc.collect()
@@ -221,18 +222,19 @@ class DemoRun:
             self._follow(duration)
 
     def _wait_until_ready(self, standing: Reference | None) -> None:
-        """Wait until the node holds the robot and the brakes are open."""
+        """Wait until the node sends commands and the brakes are released."""
         commander = self.commander
         self._wait(lambda: commander.state is not None, 'the robot sends no joint states')
         if standing is not None:
             commander.follow(standing, records=False)
         self._wait(lambda: commander.commands > 0, 'the node sends no commands')
         self._wait(
-            lambda: not commander.brakes_on, 'the brakes stay on, because no commands arrive'
+            lambda: not commander.brakes_on,
+            'the brakes stay on, because commands reach the robot with gaps or not at all',
         )
 
     def _wait_for_topics(self) -> None:
-        """Wait for subscribers to event topics, and for external efforts if they are expected."""
+        """Wait for subscribers to the events' topics, and for external efforts if expected."""
         commander = self.commander
         for event in self._timeline.events:
             commander.advertise(event.messages)
@@ -290,7 +292,7 @@ class DemoRun:
             self._spin()
 
     def _spin(self) -> None:
-        """Handle ROS events briefly; raise an error if a process or the user has ended the run."""
+        """Spin once; raise if a process has ended or the user wants to stop."""
         if self._stopped():
             raise KeyboardInterrupt
         for name, process in self._processes.items():

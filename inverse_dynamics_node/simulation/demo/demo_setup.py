@@ -1,8 +1,8 @@
 """
 The set-up of a scenario: a robot in its start pose, with a suitable load and push.
 
-Load and push are large enough to deflect a joint visibly, and small enough to leave every drive a
-reserve.
+Load and push are large enough to deflect a joint visibly. They are also small enough that every
+drive keeps some effort in reserve.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class DemoSetup:
     duration: float
     """Duration of the run [s]."""
     link: str = ''
-    """Link to load and to push; if empty, a link at or near the hand is chosen."""
+    """Name of the link for load and push; if empty, a link at or near the hand is chosen."""
     friction: bool = False
-    """Whether the joints have friction, and the node compensates the friction."""
+    """Whether the joints have friction, which the node then compensates."""
     rate: float = 500.0
     """Rate of the joint states and of the commands [Hz]."""
 
@@ -59,7 +59,7 @@ class DemoSetup:
         """
         Rotor inertia that the demo adds to each joint, shape (n,) [kg m^2 or kg].
 
-        Without enough inertia, the smallest delay in the friction compensation would make a joint
+        Without enough inertia, even a tiny delay in the friction compensation would make a joint
         oscillate. If ``friction`` is False, no inertia is added.
         """
         robot = self.robot
@@ -70,7 +70,7 @@ class DemoSetup:
 
     @cached_property
     def inertia(self) -> Floats:
-        """Inertia of each joint in the start pose while the other joints are free, shape (n,)."""
+        """Inertia of each joint in the start pose if the other joints move freely, shape (n,)."""
         mass_matrix = self._mass_matrix(InverseDynamics(self.robot))
         return np.asarray(1.0 / np.diagonal(np.linalg.inv(mass_matrix)))
 
@@ -100,8 +100,9 @@ class DemoSetup:
         """
         Choose a load; return the link, the mass [kg] and the inertia [kg m^2].
 
-        The inertia is about the centre of mass. The load is on the outermost link that can carry
-        1 % of the robot's mass, because a wrist without rotor inertia deflects under a few grams.
+        The inertia is about the centre of mass. If ``self.link`` is empty, the load is on the
+        outermost link that can carry 1 % of the robot's mass. Even a few grams may be too
+        much for a wrist without rotor inertia.
         """
         unit = np.eye(3) * BOX**2 / 6.0
 
@@ -113,7 +114,7 @@ class DemoSetup:
         return link, mass, mass * unit
 
     def capacity(self, link: str) -> float:
-        """Return the load [kg] that a link can carry in the start pose within all drive limits."""
+        """Return the largest load [kg] that the drives can hold on a link in the start pose."""
         alone, change = self._effect(
             lambda dynamics: dynamics.set_payload(link, 1.0, GRIP), self.start
         )
@@ -125,8 +126,8 @@ class DemoSetup:
         """
         Choose a push; return the link, and the force in the link frame [N], shape (3,).
 
-        The push is on the outermost link that withstands 5 N, because a wrist joint may deflect
-        under hardly any force.
+        If ``self.link`` is empty, the push acts on the outermost link that withstands 5 N. Even a
+        tiny force may be too much for a wrist joint.
         """
         direction = np.ones(3) / np.sqrt(3.0)
 
@@ -142,10 +143,11 @@ class DemoSetup:
 
     def _place(self, put: Put, limit: float, enough: float) -> tuple[str, float]:
         """
-        Choose a link, and return the largest load or push that the link withstands.
+        Choose a link; return the link, and the largest load or push that the link withstands.
 
-        The result is the outermost link that withstands ``enough``. If there is none, the result
-        is the link that withstands the most.
+        The load or push does not exceed ``limit``. If ``self.link`` is empty, choose the outermost
+        link that withstands at least ``enough``. If no link does, choose the link that withstands
+        the most.
         """
         links = [self.link] if self.link else links_towards_base(self.robot)
         chosen, most = links[0], 0.0
@@ -158,7 +160,7 @@ class DemoSetup:
         return chosen, most
 
     def _effect(self, put: Callable[[InverseDynamics], None], q: Floats) -> tuple[Floats, Floats]:
-        """Return the gravity efforts at positions, and the effect of a load or push."""
+        """Return the gravity efforts at ``q``, and the added efforts due to a load or push."""
         dynamics = InverseDynamics(self.robot)
         alone = dynamics.gravity_efforts(q)
         put(dynamics)

@@ -1,8 +1,9 @@
 """
 The scenario `calibrate`: a robot that differs from its URDF follows a given motion.
 
-The masses of the robot differ from the masses in the URDF, and the URDF lacks friction and rotors.
-Friction and rotor inertia depend on the inertia of the joints, so that every robot can still move.
+The masses of the robot differ from the masses in the URDF. The robot also has friction and rotors,
+which are unknown to the node at first. The friction and the rotor inertia scale with the inertia
+of the joints, so that a robot of any size can still move.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from .results import LEAST_FACTOR, result_of, ScenarioResult
 from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timeline
 from .view import View
 
-SUMMARY = 'identify masses, friction and rotors from a motion, then follow the motion again'
+SUMMARY = 'identify masses, friction and rotor inertias from a motion, then repeat the motion'
 # `follow` creates the timeline instead of `hold`.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
 MASS = (0.75, 1.35)
 """Smallest and largest ratio of the true mass of a link to the mass in the URDF."""
 PLACE = (0.85, 1.15)
-"""Smallest and largest ratio of the true centre of mass to the value in the URDF."""
+"""Smallest and largest ratio of a true centre-of-mass coordinate to its value in the URDF."""
 ROTOR = 0.4
-"""Inertia of the rotor divided by the inertia of the joint."""
+"""Inertia of the rotor divided by the inertia of the joint without the rotor."""
 COULOMB = 3.0
-"""Coulomb friction divided by the inertia of the joint [rad/s^2 or m/s^2]."""
+"""Coulomb friction divided by the inertia of joint and rotor [rad/s^2 or m/s^2]."""
 DAMPING_SPEED = 1.5
-"""Speed at which viscous friction is as large as Coulomb friction [rad/s or m/s]."""
+"""Speed [rad/s or m/s] at which viscous friction is as large as Coulomb friction."""
 LARGEST_FRICTION = 0.05
 """Largest Coulomb friction as a fraction of the effort limit."""
 _SEED = 1979
@@ -58,7 +59,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """Draw the true properties of a robot; all runs draw the same values."""
+    """Draw the true properties of a robot at random, from a generator with a fixed seed."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):
@@ -94,8 +95,8 @@ def follow(
     Start a node and a simulated robot, let the robot follow a motion, and return the history.
 
     ``robot_arguments`` are the path of the URDF and further arguments of the simulated robot.
-    ``node_arguments`` follow ``--ros-args``. ``record`` is a new folder for a recording, or None.
-    ``title`` describes the run. For the other arguments, see `perform`.
+    ``node_arguments`` are the node's arguments after ``--ros-args``. ``record`` is a new folder
+    for a recording, or None. ``title`` describes the run. For the other arguments, see `perform`.
     """
     view = View(setup.robot, f'{setup.robot.name}: {title}')
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
@@ -131,6 +132,6 @@ def check_identification(
         (
             factor >= LEAST_FACTOR,
             f'the tracking error changed {words}: {factor:.2g} times better, expected '
-            f'{LEAST_FACTOR:g}',
+            f'at least {LEAST_FACTOR:g}',
         ),
     )

@@ -27,11 +27,11 @@ def running(
     commands: Mapping[str, Sequence[str]], print_line: Callable[[str], None] | None = None
 ) -> Iterator[Processes]:
     """
-    Run child processes within a context; end the processes in reverse order after the context.
+    Run child processes within a context; on exit, end the processes in reverse order.
 
-    ``commands`` contains arguments of ``python -m``, by name of the process. ``print_line`` is
-    called with every line that a process prints, in one thread per process. Without
-    ``print_line``, the processes inherit standard output.
+    ``commands`` maps the name of each process to the arguments of ``python -m`` that start the
+    process. ``print_line`` is called with every line that a process prints, in one thread per
+    process. If ``print_line`` is None, the processes inherit standard output.
     """
     processes: Processes = {}
     try:
@@ -83,8 +83,8 @@ def unused_domain() -> Iterator[int]:
     """
     Reserve a ROS domain from 1 to 100 that no other process on this machine uses.
 
-    Within the context, other demos and tests that use domain_coordinator avoid this domain. Raise
-    a `SimulationError` if all domains are in use.
+    Within the context, other demos avoid this domain, and so do tests with domain_coordinator.
+    Raise a `SimulationError` if all domains are in use.
     """
     for domain in random.sample(range(1, 101), 100):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:

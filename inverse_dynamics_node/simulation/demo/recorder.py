@@ -1,5 +1,5 @@
 """
-Records topics to a bag of ROS 2.
+Records topics to a ROS 2 bag.
 
 Messages are kept in memory and written at the end, so that the disk cannot delay the control loop.
 """
@@ -29,7 +29,7 @@ class Recorder:
 
     A message with a header is recorded with its stamp. A message without a header is recorded with
     the stamp of the latest joint state, because the message probably responds to this joint state.
-    ``topics`` maps topics to message classes. The topics in ``latched`` are transient local.
+    ``topics`` maps topics to message classes. Topics in ``latched`` are transient local.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Recorder:
         return keep
 
     def begin(self) -> None:
-        """Drop all messages so far, except the latest message of each latched topic."""
+        """Drop the messages recorded so far, except the latest message of each latched topic."""
         for name, messages in self._messages.items():
             del messages[: -1 if name in self._latched else None]
 

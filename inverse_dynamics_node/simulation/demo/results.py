@@ -32,7 +32,7 @@ class ScenarioResult:
     failures: tuple[str, ...] = ()
     """Reasons why the run failed; empty if the run passed."""
     excuse: str = ''
-    """Cause of the failures outside the node, if known."""
+    """Cause of the failures, if it is known and lies outside the node."""
 
     def __str__(self) -> str:
         if self.failures:
@@ -42,20 +42,20 @@ class ScenarioResult:
 
 
 class Distance(NamedTuple):
-    """The largest position error of all joints."""
+    """The largest of the joints' position errors."""
 
     value: float
     """Error [rad or m]; NaN if nothing was measured."""
     words: str
-    """Error as text, in mrad or mm."""
+    """Error as a string, in mrad or mm."""
 
     def within(self, limit: float, when: str) -> tuple[bool, str]:
-        """Return a check for `result_of` that the error does not exceed a limit."""
-        return self.value <= limit, f'a joint was {self.words} off {when}'
+        """Return a check for `result_of` that passes if the error does not exceed a limit."""
+        return self.value <= limit, f'a joint was off by {self.words} {when}'
 
 
 def worst(setup: DemoSetup, errors: Floats) -> Distance:
-    """Return the largest of the position errors of all joints, shape (n,) [rad or m]."""
+    """Return the largest of the joints' position errors; ``errors`` has shape (n,) [rad or m]."""
     i = int(np.argmax(errors))  # argmax prefers NaN
     unit = 'mm' if setup.robot.is_prismatic_joint[i] else 'mrad'
     # Errors below 0.001 mrad or mm are printed as 0.001.
@@ -63,7 +63,7 @@ def worst(setup: DemoSetup, errors: Floats) -> Distance:
 
 
 def result_of(words: str, *checks: tuple[bool, str]) -> ScenarioResult:
-    """Return a result; each check consists of a flag for success and a text for failure."""
+    """Return a result; each check consists of a flag for success and a failure message."""
     return ScenarioResult(words, tuple(failure for passed, failure in checks if not passed))
 
 
@@ -113,7 +113,7 @@ def check_payload(
         (
             factor >= LEAST_FACTOR,
             f'the error fell from {unknown.words} to {known.words} once the node knew the load: '
-            f'{factor:.1f} times better, expected {LEAST_FACTOR:g}',
+            f'{factor:.1f} times better, expected at least {LEAST_FACTOR:g}',
         ),
     )
 
@@ -136,11 +136,15 @@ def check_push(
     after = worst(setup, history.largest_error(ended + SETTLED, np.inf))
     return result_of(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
-        f'estimated -J^T F (up to {size:.3g} N m or N) to within {max(100.0 * off, 0.01):.2g} %',
-        (off <= CONTACT_LIMIT, f'the estimated push is {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
+        f'estimated the external efforts (up to {size:.3g} N m or N) to within '
+        f'{max(100.0 * off, 0.01):.2g} %',
+        (
+            off <= CONTACT_LIMIT,
+            f'the estimated external efforts are {off:.1%} off, limit {CONTACT_LIMIT:.0%}',
+        ),
         (
             noise <= CONTACT_LIMIT,
-            f'before the push, the external efforts reached {noise:.1%} of the push',
+            f'before the push, the external efforts reached {noise:.1%} of those due to the push',
         ),
         after.within(rest_limit(setup), 'after the push'),
     )
@@ -169,7 +173,7 @@ def check_tilt(
 def check_sensor_lost(
     setup: DemoSetup, history: History, lost: float, back: float
 ) -> ScenarioResult:
-    """Judge a loss of joint states: efforts must become zero, and the arm must stay in place."""
+    """Judge the response to lost joint states: efforts must become zero, and brakes must hold."""
     # The window ends early, because stamps may lag behind the clock of the machine.
     commands = np.abs(history.commands.between(lost + STOPPED, back - 0.1))
     left = float(np.max(commands, initial=0.0))
@@ -182,14 +186,18 @@ def check_sensor_lost(
     end = worst(setup, history.largest_error(setup.duration - 1.0, np.inf))
     return result_of(
         f'efforts were zero {zero_after:.2f} s after the last joint state, and the brakes held; '
-        f'no joint moved by more than {moved.words} or was more than {end.words} off at the end',
-        (before > 0.0, 'efforts were zero before the joint states stopped'),
-        (len(commands) > 0, 'the node published nothing while joint states were missing'),
+        f'no joint moved by more than {moved.words}, and none was off by more than {end.words} at '
+        'the end',
+        (before > 0.0, 'efforts were zero even before the joint states stopped'),
+        (len(commands) > 0, 'the node published no commands while joint states were missing'),
         (
             left == 0.0,
-            f'{STOPPED:g} s after the last joint state, efforts were up to {left:.3g} N m or N',
+            f'{STOPPED:g} s after the last joint state, efforts still reached {left:.3g} N m or N',
         ),
-        (brakes == [True, False], f'the topic brakes received {brakes}, expected [True, False]'),
+        (
+            brakes == [True, False],
+            f'brake states: {brakes}, expected [True, False] (engaged, then released)',
+        ),
         moved.within(moving_limit(setup), 'during the run'),
         end.within(rest_limit(setup), 'at the end'),
     )
@@ -235,12 +243,12 @@ def tracking_words(slack: Floats) -> str:
         parts.append(f'{least} {when}' if least == most else f'{least} to {most} {when}')
     words = f'every joint stayed within {" and ".join(parts)}'
     if np.any(slack):
-        words = f'{words} (limits in the table; they are wider where dry friction holds a joint)'
+        words = f'{words} (limits in the table; wider if a joint has dry friction)'
     return f'{words}; rate within {RATE_LIMIT:.0%}'
 
 
 def judge_tracking(setup: DemoSetup, moving: Floats, rest: Floats, rate: float) -> ScenarioResult:
-    """Compare the errors in motion and at rest, shape (n,), and the rate with their limits."""
+    """Judge the errors in motion and at rest, each of shape (n,), and the command rate [Hz]."""
     whens, errors = ('while moving', 'at rest'), (moving, rest)
     cause = (
         'another node publishes commands too, or the robot caught up after a pause'

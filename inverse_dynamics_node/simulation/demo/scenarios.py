@@ -63,13 +63,13 @@ class Timeline:
     events: tuple[Event, ...] = ()
     """Events, sorted by time."""
     begins: str = ''
-    """Description of the run before the first event."""
+    """Description of what happens before the first event."""
     note: str = ''
     """Line to print before the start."""
     expected: Callable[[Floats, Floats], Floats] | None = None
-    """Returns the true external efforts at times, shape (k,), and positions, shape (k, n)."""
+    """Maps times, shape (k,) [s], and positions, shape (k, n), to the true external efforts."""
     without: tuple[Floats, Floats] | None = None
-    """Times [s], shape (k,), and position errors of a simulation without an IMU, shape (k, n)."""
+    """Times, shape (k,) [s], and position errors, shape (k, n), simulated without an IMU."""
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,11 @@ class Scenario:
     robot: tuple[str, ...] = ()
     """Options of the simulated robot."""
     least_duration: float = 10.0
-    """Shortest possible duration [s]."""
+    """Shortest permitted duration [s]."""
 
 
 def standing(setup: DemoSetup) -> Oscillation:
-    """Return the motion of an arm that stands still in its start pose."""
+    """Return a reference that keeps the arm still in its start pose."""
     zeros = np.zeros(len(setup.start))
     return Oscillation(setup.start, zeros, zeros + 1.0, setup.duration)
 
@@ -198,10 +198,10 @@ def tilted(setup: DemoSetup) -> Timeline:
 
 def held_without_imu(setup: DemoSetup, began: float) -> tuple[Floats, Floats]:
     """
-    Simulate computed torque on a tilting base without an IMU; return times and position errors.
+    Simulate computed-torque control on a tilting base without an IMU; return times and errors.
 
-    The base begins to tilt at the time ``began`` [s]. Times have shape (k,) [s], and errors have
-    shape (k, n) [rad or m].
+    The base begins to tilt at the time ``began`` [s]. Times have shape (k,) [s], and position
+    errors have shape (k, n) [rad or m].
     """
     simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False

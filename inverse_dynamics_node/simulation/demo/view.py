@@ -101,7 +101,7 @@ class View:
         return Group(head, Text(snapshot.words, 'yellow'), table)
 
     def _cells(self, snapshot: Snapshot) -> list[tuple[str, str, str, str, str]]:
-        """Return name, position, desired position, error and effort of each joint."""
+        """Return name, position, desired position, error and effort of each joint as strings."""
         joints = (self.robot.joint_names, self._units, snapshot.q, snapshot.desired)
         return [
             (
@@ -121,7 +121,7 @@ class View:
         self._console.print(line, style='bright_black', highlight=False, markup=False)
 
     def announce(self, time_: float, words: str) -> None:
-        """Print a line about an event, unless the live table already shows it."""
+        """Print a line about an event, unless the live table already shows the event."""
         if not self.is_live:
             print(f'\n{time_:.1f} s: {words}', flush=True)
 
@@ -141,7 +141,7 @@ def name_width(robot: RobotModel) -> int:
 
 
 def error_fraction(error: float) -> float:
-    """Return the logarithmic length of an error bar, from 0 at 0.01 mrad to 1 at 100 mrad."""
+    """Return how full the bar for an error is: 0 at 0.01 mrad, 1 at 100 mrad (log scale)."""
     return 1.0 + math.log10(max(abs(error), 1e-9) / FULL_ERROR) / 4.0
 
 

@@ -29,13 +29,13 @@ class MujocoRobot:
     Parameters
     ----------
     urdf : str or pathlib.Path
-        Path of a URDF, or its text.
+        Path of a URDF, or the URDF as text.
     robot : RobotModel
         The robot that `load_urdf` reads from the URDF.
     start : array_like, shape (n,)
         Start positions [rad or m], in the order of ``robot.joint_names``.
     friction : bool
-        Whether to simulate the damping and Coulomb friction of the URDF.
+        Whether to simulate the damping and Coulomb friction that the URDF specifies.
     held : collection of str
         Joints that take no commands; stiff springs hold them in their start positions.
     armature : array_like, shape (n,) or ()
@@ -93,7 +93,7 @@ class MujocoRobot:
         self._hold(held)
 
     def state(self) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and efforts of the joints ``state_names``."""
+        """Return positions, velocities and efforts in the order of ``state_names``."""
         order, data = self._state_order, self._data
         efforts = data.qfrc_applied.copy()
         efforts[self._held_order] = data.qfrc_passive[self._held_order]
@@ -105,15 +105,15 @@ class MujocoRobot:
         self._data.qfrc_applied[self._command_order] = np.clip(efforts, -limits, limits)
 
     def positions(self) -> Floats:
-        """Return the positions of ``robot.joint_names`` [rad or m]."""
+        """Return positions [rad or m] in the order of ``robot.joint_names``."""
         return np.asarray(self._data.qpos[self._order])
 
     def velocities(self) -> Floats:
-        """Return the velocities of ``robot.joint_names`` [rad/s or m/s]."""
+        """Return velocities [rad/s or m/s] in the order of ``robot.joint_names``."""
         return np.asarray(self._data.qvel[self._order])
 
     def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
-        """Make the joints follow positions, velocities and accelerations, each of shape (n,)."""
+        """Command efforts to track desired positions, velocities and accelerations."""
         kp, kd = DRIVE_GAINS
         error, rate = q - self.positions(), qd - self.velocities()
         efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()
@@ -133,7 +133,7 @@ class MujocoRobot:
 
     def advance_within(self, duration: float, bounds: Floats) -> Floats | None:
         """
-        Advance the simulation by a few milliseconds, unless a joint would become too fast.
+        Advance the simulation by a short duration [s], unless a joint would become too fast.
 
         Return None if the simulation has advanced. If a joint would exceed its speed bound,
         restore the previous state, and return the speeds that the joints would have reached.
@@ -153,12 +153,12 @@ class MujocoRobot:
         return speeds
 
     def stop(self) -> None:
-        """Stop all joints at once, as brakes do."""
+        """Stop all joints instantly, as brakes do."""
         self._data.qvel[:] = 0.0
         mujoco.mj_forward(self._model, self._data)
 
     def mass_matrix(self) -> Floats:
-        """Return the current mass matrix, including mimic joints, shape (n, n)."""
+        """Return the current mass matrix, including the effect of mimic joints, shape (n, n)."""
         velocities = self._coupling.T.copy()
         momenta = np.zeros(velocities.shape)
         for row, velocity in zip(momenta, velocities, strict=True):
@@ -166,18 +166,18 @@ class MujocoRobot:
         return np.asarray(momenta @ self._coupling)
 
     def bias_efforts(self) -> Floats:
-        """Return efforts due to gravity and velocities, including mimic joints, shape (n,)."""
+        """Return gravity and Coriolis efforts, including those of mimic joints, shape (n,)."""
         return np.asarray(self._coupling.T @ self._data.qfrc_bias)
 
     def gravity_efforts(self) -> Floats:
-        """Return the joint efforts due to gravity only, including payloads, shape (n,)."""
+        """Return the joint efforts due to gravity on robot and payloads, shape (n,)."""
         self._at_rest.qpos[:] = self._data.qpos
         mujoco.mj_fwdPosition(self._model, self._at_rest)
         mujoco.mj_fwdVelocity(self._model, self._at_rest)
         return np.asarray(self._coupling.T @ self._at_rest.qfrc_bias)
 
     def _hold(self, joints: Collection[str]) -> None:
-        """Add springs and dampers to joints, so that each joint is critically damped."""
+        """Hold joints in their current positions with critically damped springs."""
         inertia, load = self.mass_matrix().diagonal(), self.bias_efforts()
         for name in joints:
             i = self.robot.joint_names.index(name)

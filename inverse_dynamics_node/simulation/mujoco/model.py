@@ -6,8 +6,8 @@ URDF needs four changes:
 
 - Shapes are removed, because shapes need mesh files and would have a mass in MuJoCo.
 - Quaternions become roll, pitch and yaw, because MuJoCo ignores ``quat_xyzw``.
-- Links on fixed joints remain separate bodies, because merging would drop the inertia of massless
-  links.
+- An option keeps links on fixed joints as separate bodies, because merging would drop the inertia
+  of a link whose mass is 0.
 - During compilation, placeholders replace masses and inertias that MuJoCo rejects.
 """
 
@@ -44,13 +44,13 @@ def compile_model(urdf: str | Path, friction: bool = True) -> Any:
     """
     Compile a URDF, given as a path or as text, to a MuJoCo model.
 
-    Without ``friction``, the joints have neither the damping nor the Coulomb friction of the URDF.
-    The model has one body per link except the root, and one degree of freedom per movable joint.
-    Equality constraints couple mimic joints. Raise a `SimulationError` if MuJoCo is too old or
-    rejects the robot.
+    If ``friction`` is False, the joints have neither the damping nor the Coulomb friction that
+    the URDF specifies. The model has one body per link except the root, and one degree of freedom
+    per movable joint. Equality constraints couple mimic joints. Raise a `SimulationError` if
+    MuJoCo is too old or rejects the robot.
     """
     if tuple(map(int, mujoco.__version__.split('.')[:2])) < OLDEST_MUJOCO:
-        raise SimulationError(f'MuJoCo is {mujoco.__version__}, expected 3.17 or newer')
+        raise SimulationError(f'MuJoCo has version {mujoco.__version__}, expected 3.17 or newer')
     # By default, MuJoCo would append its warnings to a file in the working directory.
     mujoco.set_mju_user_warning(logger.info)
     root, _ = parse(read_source(urdf))

@@ -31,8 +31,8 @@ class World:
     Payloads, pushes and base motion of a simulated robot.
 
     Inertias and gravity of ``model`` are modified, and ``xfrc_applied`` of ``data`` is
-    overwritten. The root link ``root`` is fixed to the ground, so that loads and pushes on this
-    link have no effect.
+    overwritten. The root link ``root`` is fixed in MuJoCo's world frame. Loads and pushes on this
+    link therefore have no effect.
     """
 
     def __init__(self, model: Any, data: Any, root: str) -> None:
@@ -53,7 +53,7 @@ class World:
         self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
     ) -> None:
         """
-        Attach a rigid load to a link, and replace any previous load.
+        Attach a rigid load to a link, and remove the link's previous load.
 
         A mass [kg] of 0 removes the load. The centre of mass, shape (3,), is in the link frame
         [m]. The inertia, shape (3, 3), is about the centre of mass, in link axes [kg m^2]. Raise a
@@ -88,7 +88,7 @@ class World:
         self, gravity: ArrayLike, angular_velocity: ArrayLike, angular_acceleration: ArrayLike
     ) -> None:
         """
-        Set gravity and the rotation of the base about its fixed origin.
+        Set gravity, angular velocity and angular acceleration of the base, whose origin is fixed.
 
         All vectors have shape (3,) and are in the base frame. ``gravity`` is the free-fall
         acceleration [m/s^2]. Angular velocity and acceleration are in rad/s and rad/s^2.
@@ -110,7 +110,7 @@ class World:
             data.xfrc_applied[body, 3:] += R @ moment + np.cross(arm, R @ force)
 
     def _inertial_wrenches(self) -> Floats:
-        """Return the inertial force on each body, and its moment about the centre of mass."""
+        """Return inertial forces on bodies, and inertial moments about their centres of mass."""
         model, data = self._model, self._data
         base, base_dot = self._angular_velocity, self._angular_acceleration
         r, omega = data.xipos, data.cvel[:, :3]
@@ -140,7 +140,7 @@ class World:
 
 
 def _inertia(model: Any, body: int) -> Floats:
-    """Return the inertia of a body about its centre of mass, along the axes of its frame."""
+    """Return the inertia of a body about its centre of mass, in the axes of the link frame."""
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, model.body_iquat[body])
     R_LC = R.reshape(3, 3)
@@ -173,7 +173,7 @@ class Tilt:
 
     def turn_to(self, attitude: ArrayLike, time: float) -> None:
         """
-        Start to turn to an attitude at a time [s].
+        Start to turn the base to ``attitude`` at the time ``time`` [s].
 
         The attitude is a rotation vector relative to the level base, shape (3,) [rad].
         """
@@ -184,7 +184,7 @@ class Tilt:
         mujoco.mju_quat2Vel(self._turn, quaternion, 1.0)
 
     def attitude(self, time: float) -> Floats:
-        """Return the rotation matrix from the base frame at a time [s] to the level frame."""
+        """Return the rotation matrix from the base frame to the level frame at a time [s]."""
         progress = ease(np.array((time - self._began) / TILT_DURATION))[0]
         return np.asarray(self._level @ rotation(progress * self._turn))
 
