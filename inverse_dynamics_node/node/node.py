@@ -52,8 +52,9 @@ class InverseDynamicsNode(LifecycleNode):
     Publishers, subscriptions and services exist as long as the node exists. The control loop and
     its timers exist only while the node is configured.
 
-    `skip_ramp` returns True to end the stop ramp early. `worker` does long work, by default in a
-    thread. Create `scheduling` before `worker`. Other arguments are for `LifecycleNode`.
+    `skip_ramp` returns True to end the stop ramp early. `worker` runs long tasks, by default in
+    a thread. Create `scheduling` before `worker`, as `Worker` explains. Other arguments are for
+    `LifecycleNode`.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class InverseDynamicsNode(LifecycleNode):
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
 
     def get_logger(self) -> Any:
-        """Return the logger of the node, which shortens long lines."""
+        """Return a logger that shortens long lines."""
         return BoundedLogger(super().get_logger())
 
     @property
@@ -200,7 +201,7 @@ class InverseDynamicsNode(LifecycleNode):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ramp the efforts down to zero, deliver the zeros, and stop publishing."""
+        """Ramp the efforts down to zero, and then stop publishing."""
         self._ramp_down()
         return super().on_deactivate(state)
 
@@ -208,21 +209,27 @@ class InverseDynamicsNode(LifecycleNode):
         self._runner.ramp_down(self._reason_to_stop, self._inputs.read_latest_joint_state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Drop the robot and its loads."""
+        """Discard the robot model, the payloads and the external wrenches."""
         self._runner.forget_robot()
         return super().on_cleanup(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Drop the robot; the node can be configured again."""
+        """Discard the robot model; the node can be configured again."""
         self._runner.forget_robot()
         return _SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ramp the efforts down to zero, then end the process."""
+        """Ramp the efforts down to zero, and then let `main` end the process."""
         if self._runner.is_active:
             self._ramp_down()
         self.is_finalized = True
         return super().on_shutdown(state)
+
+    def destroy_node(self) -> None:
+        """Destroy the node, so that it leaves the ROS graph at once."""
+        super().destroy_node()
+        # Otherwise it keeps the node alive (rclpy 7.1), and its shared memory after the process.
+        self._state_machine.destroy_when_not_in_use()
 
     def _configure(self) -> None:
         configuration = self.configuration
@@ -254,7 +261,7 @@ class InverseDynamicsNode(LifecycleNode):
     # Parameters
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Accept new values only if the node can use all values together."""
+        """Accept new values only if the node can use them together with its other parameters."""
         try:
             self._check_change(parameters)
         except InverseDynamicsError as error:
@@ -292,7 +299,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._next = after
 
     def _check_file_change(self, configuration: Configuration) -> None:
-        """Raise a ConfigurationError if robot_description_file may not change now."""
+        """Raise a ConfigurationError if robot_description_file must not change now."""
         allowed = configuration.allow_description_file_changes
         if allowed is FileChanges.NEVER:
             reason = 'cannot be set while the process runs'

@@ -75,7 +75,10 @@ def test_a_node_with_the_same_name_is_reported(run_node, robot):
         assert '[ERROR]' in lines(node, words)[0]
     nodes[1].interrupt()
     robot.wait_for_end(nodes[1])
+    ended = time.monotonic()
     robot.wait_for_text(nodes[0], 'no other node publishes the commands')
+    # A node that does not leave the graph stays listed for 20 s.
+    assert time.monotonic() - ended < 10.0
 
 
 def test_joints_topic_and_subscribers_are_reported_on_activation(run_node, robot):
@@ -152,7 +155,7 @@ def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_le
     robot.wait_for_text(node, 'simulated time has not advanced for more than 5 s')
     # Lasting problems are repeated by steady time, since simulated time has stopped.
     robot.publish_accelerations([1.0])
-    words = '1 accelerations, expected 6'
+    words = '1 acceleration values, expected 6'
     robot.wait_until(lambda: len(lines(node, words)) > 1, 'another warning')
 
 

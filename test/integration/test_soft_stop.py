@@ -16,6 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import JointState
 from soft_stops import ARMS, tip_speed
+from stalls import StalledMachineError, TOLERATED
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
@@ -229,6 +230,9 @@ def largest_tip_speed(domain_id, run_node, robot, arm, way, **parameters):
         stop(robot, node, way)
         count, end = len(states), time.monotonic() + SINKING
         robot.wait_until(lambda: time.monotonic() > end, 'an arm that has sunk')
+        gap = np.diff([received for received, _ in states[count:]]).max()
+        if not any(robot.commands[-1]) and gap > TOLERATED:
+            raise StalledMachineError(f'the simulated robot stood still for {gap:.2f} s')
         assert any(robot.commands[-1])
     speeds = []
     for received, state in states[count:]:

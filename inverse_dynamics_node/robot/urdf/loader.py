@@ -52,17 +52,17 @@ def load_urdf(
     ------
     UrdfError
         If the file cannot be read, or the description has errors. The joints must form one tree,
-        and must be revolute, continuous, prismatic or fixed. Inertias and limits must be complete.
-        A robot without joints is an error. The message lists all errors with their lines.
+        and must be revolute, continuous, prismatic or fixed. Inertias must be complete.
+        A ``<limit>`` must contain effort and velocity. A robot without joints is an error. The
+        message lists all errors with their lines.
     ConfigurationError
         If ``on_missing_inertial`` is neither 'warn' nor 'refuse'.
 
     Notes
     -----
-    The conventions are those of urdfdom, the parser of ROS. Lower and upper limits default to 0,
-    and the axis defaults to x. An effort or velocity limit of 0 means unknown, and becomes
-    infinite. Versions 1.0 to 1.2 of the format are supported. The attribute ``quat_xyzw`` needs
-    version 1.1 or later.
+    As in urdfdom, the parser of ROS, lower and upper limits default to 0, and the axis defaults to
+    x. An effort or velocity limit of 0 means unknown, and becomes infinite. Versions 1.0 to 1.2 of
+    the format are supported. The attribute ``quat_xyzw`` needs version 1.1 or later.
 
     """
     if on_missing_inertial not in ('warn', 'refuse'):
@@ -159,8 +159,10 @@ def _overflows(robot: RobotModel) -> list[str]:
         robot.joint_names: ('damping', 'friction'),
         robot.link_names: ('link_position',),
     }
+    words = {'p_PL': 'origin', 'com': 'centre of mass', 'link_position': 'position'}
     return [
-        f"{field} of '{name}' is not finite: a number in the description is too large"
+        f"{words.get(field, field)} of '{name}' is not finite: a number in the description is "
+        'too large'
         for names, fields in rows.items()
         for field in fields
         for name, value in zip(names, getattr(robot, field), strict=True)
