@@ -40,10 +40,10 @@ def residual_table(result: IdentificationResult) -> Table:
                'fitted: + friction', 'identified')  # fmt: skip
     notes = (
         'RMS of the measured effort and of the residuals of three models, smoothed over '
-        f'{1e3 * result.unseen.smoothing:.0f} ms. Left columns: unseen data, '
-        f'{result.unseen.description}. Right columns: the data that were fitted. Noise: residual '
-        'that no model can explain, estimated from the high frequencies of the efforts. Raw: '
-        'residual of the identified model without smoothing.',
+        f'{1e3 * result.unseen.smoothing:.0f} ms. Left columns: unseen data '
+        f'({result.unseen.description}). Right columns: the data that were fitted. Noise: '
+        'residual that no model can explain, estimated from the high frequencies of the efforts. '
+        'Raw: residual of the identified model without smoothing.',
     )
     return Table('Measured minus modelled efforts', columns, tuple(rows), notes, frozenset({7}))
 
@@ -127,10 +127,10 @@ def body_table(result: IdentificationResult) -> Table:
     columns = ('link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±',
                'on its own')  # fmt: skip
     notes = [
-        'On its own: how much of the information about this mass the recordings provide, whatever '
-        'the other masses are; the rest comes from the robot description. A mass that influences '
-        'no effort keeps its value. Centres of mass are in the frame of the joint that moves the '
-        'link.',
+        'On its own: share of the information about this mass that comes from the recordings, '
+        'whatever the other masses are; the rest comes from the robot description. A mass that '
+        'influences no effort keeps its value. Centres of mass are in the frame of the joint that '
+        'moves the link.',
     ]
     if any(map(_follows_others, result.bodies)):
         notes.append(

@@ -173,7 +173,7 @@ class Clearance:
         return first, second
 
     def _missing(self, q: Floats, margin: float, is_way: bool) -> tuple[Contacts, Floats]:
-        """Return the contacts, and the missing distance of each contact [m]."""
+        """Return the contacts, and how far each is short of its required distance [m]."""
         found = self.contacts(q, margin)
         missing = self.needed[found.row] + margin - found.distance
         if is_way:
