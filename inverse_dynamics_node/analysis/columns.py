@@ -182,7 +182,12 @@ def fit_nonnegative(
 def solve_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans
 ) -> tuple[Floats, float]:
-    """Do the same as `fit_nonnegative`, but do not reduce the rows or scale the columns first."""
+    """
+    Do the same as `fit_nonnegative`, but do not reduce the rows or scale the columns first.
+
+    The features should have few rows, and columns of similar length.
+
+    """
     from scipy.optimize import nnls
 
     chosen = list(signed) if not isinstance(signed, np.ndarray) else signed

@@ -183,7 +183,7 @@ def payload_capacity(
 
     The payload is a point mass at the origin of a link. If the robot already carries a payload,
     `workspace` must include this payload, and the capacity is the additional mass. The capacity is
-    valid for all sampled poses, and for the worst pose that a local search finds. Raises
+    valid for all poses in `workspace`, and for the worst pose that a local search finds. Raises
     ConfigurationError if the link does not exist.
 
     Gravity efforts are linear in the mass, so the effort per kilogram determines the largest mass.

@@ -47,8 +47,8 @@ The command can diagnose these differences: efforts that have the wrong sign, ar
 are in the wrong unit, have an offset, or arrive late; a reversed axis; positions in degrees;
 gravity compensated by the driver; a different mounting of the base; a payload; joints in the wrong
 order; rotor inertia; a driver that does not measure efforts; wrong masses of several links. A
-load, a push or a tilt of the base is found even if it lasts for only part of the recording. The
-command also fits friction, and --parameters writes it as parameters of the node.
+load, a push or a tilt of the base may last for only part of the recording. The command also fits
+friction, and --parameters writes it as parameters of the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""

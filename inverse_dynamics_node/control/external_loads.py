@@ -245,9 +245,8 @@ class ExternalLoads:
         """
         Take over the loads of ``other``, which belongs to another robot description.
 
-        Payloads that are being ramped in apply fully at once. A payload is dropped if this robot
-        lacks the link. The result lists the links of the dropped payloads. ``other`` must not be
-        used afterwards.
+        Ramps of payloads end at once. A payload is dropped if this robot lacks the link. The
+        result lists the links of the dropped payloads. ``other`` must not be used afterwards.
 
         """
         dropped = []

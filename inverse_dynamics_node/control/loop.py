@@ -405,7 +405,12 @@ class ControlLoop:
         return calibrated
 
     def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
-        """Return the joints whose limits are exceeded; ``efforts`` is a result of `calibrated`."""
+        """
+        Return the joints whose limits are exceeded.
+
+        ``index`` is as in `calibrated`. ``efforts`` is the result of `calibrated`.
+
+        """
         limits = self.robot.effort_limits.copy()
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)

@@ -29,7 +29,7 @@ class Mode(enum.Enum):
     GRAVITY_COMPENSATION = 'gravity_compensation'
     """For hand guiding: ignore the reference, and use zero accelerations and velocities."""
     JOINT_IMPEDANCE = 'joint_impedance'
-    """Use the accelerations of the reference, and add the efforts of springs and dampers."""
+    """Use the accelerations of the reference; add springs and dampers towards the reference."""
 
 
 class MeasuredGravity(enum.Enum):

@@ -60,7 +60,11 @@ class NodeNames:
         return problems
 
     def ineffective_files(self) -> list[str]:
-        """Describe the parameter files that contain only parameters of other nodes."""
+        """
+        Describe the parameter files that contain only parameters of other nodes.
+
+        Call this method after rcl has accepted all files.
+        """
         problems = []
         for _, file in _operands(self._arguments, '--params-file'):
             sections = _sections(_content(file))

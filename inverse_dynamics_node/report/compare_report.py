@@ -66,7 +66,7 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     remarks = (
         'All efforts are RMS values. Residual: measured minus modelled effort. Friction: residual '
         'of the model with fitted friction. Corrected: residual of the model with fitted friction'
-        f'{corrections}. Noise: noise of the smoothed measured effort; a residual below the noise '
+        f'{corrections}. Noise: noise that remains after smoothing; a residual below the noise '
         'needs no explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured '
         'effort is about scale * modelled effort + offset. Samples at rest are not used (except '
         'for joints with unknown friction), because dry friction at rest can have any value up '

@@ -152,6 +152,6 @@ def _bodies(errors: ExpectedErrors) -> Table:
         (
             'For vectors and tensors, the table shows the largest error among the components. If '
             'only a combination of parameters can be identified, its error is listed at one joint '
-            'of the combination. The other joints show "-".',
+            'of the combination. The other joints show "-" or are left out.',
         ),
     )

@@ -25,7 +25,7 @@ _SPACING = (0.008, 0.0125)
 _CELLS = 120
 """Number of grid cells along the bounding box's longest side; vertices in one cell are merged."""
 _SMALLEST = 1e-6
-"""Minimum side of the bounding box [m], because the cells of a single point would have size 0."""
+"""Minimum of the bounding box's longest side [m], because cells must not have size 0."""
 _DEPTH = 3
 """Maximum depth of the recursive cuts of a shape."""
 _PRICE = 0.04

@@ -29,7 +29,7 @@ _ROWS = np.array([0, 0, 1, 0, 1, 2])  # of Ixx, Ixy, Iyy, Ixz, Iyz, Izz
 _COLUMNS = np.array([0, 1, 1, 2, 2, 2])
 
 SMALLEST_RADIUS = 0.01
-"""`moved_inside` enlarges a body to at least this RMS extent in each direction [m]."""
+"""Least RMS extent [m], in each direction, of a body that `moved_inside` has enlarged."""
 
 
 class RigidBody(NamedTuple):

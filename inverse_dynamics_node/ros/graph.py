@@ -21,8 +21,8 @@ class Graph:
     Queries the ROS graph on behalf of a node.
 
     Make queries only in low-rate timers, because a query takes up to 50 us, or more in a large
-    graph. `forms` are the publishers of the topics that may carry the commands. The first of these
-    topics that has a subscriber is the command topic.
+    graph. `forms` are the publishers of the topics that may carry the commands. The command topic
+    is the first of these topics that has a subscriber, or else the first topic.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:

@@ -126,7 +126,7 @@ def _too_weak(robot: RobotModel, efforts: Floats) -> str:
         if abs(effort) > EFFORT_USED * limit
     ]
     return (
-        'the effort limits of the URDF are too small for the weight of the robot: in '
+        'the effort limits of the URDF are too small to hold and move the robot: in '
         f'the best of the sampled poses, {", ".join(weak)}. Write the limits from the data '
         'sheet into <limit effort>, and check the masses'
     )

@@ -144,7 +144,7 @@ def test_a_range_replaces_the_limits_and_must_be_within_them():
     assert (limits.lower, limits.upper, limits.speeds) == (-0.2, 0.9, 1.0)
     for ranges, words in (
         ({'hinge': (-2.0, 0.5)}, 'is -2 to 0.5 rad, expected a range within the limits -1 to 1'),
-        ({'hinge': (0.5, -0.5)}, 'expected a finite upper end at least 0.001 rad above the lower'),
+        ({'hinge': (0.5, -0.5)}, 'finite ends, with the upper end at least 0.001 rad'),
         ({'hook': (0.0, 1.0)}, "joint 'hook' does not exist; joints are hinge"),
     ):
         with pytest.raises(ConfigurationError, match=words):

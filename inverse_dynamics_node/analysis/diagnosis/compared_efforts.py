@@ -133,7 +133,7 @@ class ComparedEfforts:
         return not obstacle(self.qd[:, c], self.period, self.width)
 
     def used(self, c: int) -> Booleans:
-        """Return a mask of the samples in motion, or of all samples if the joint hardly moves."""
+        """Return a mask of the samples in motion, or of all samples if `moves` is false."""
         if not self.moves(c):
             return np.ones(len(self.qd), dtype=bool)
         return is_moving(self.qd[:, c], self.width)

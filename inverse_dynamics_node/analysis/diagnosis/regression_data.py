@@ -279,7 +279,7 @@ class RegressionData:
         return unexplained_fraction(remaining, squares, kinds)
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether the fit explains nearly all of the gravity efforts."""
+        """Return whether the residual of the fit contains hardly any effort of gravity."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):

@@ -152,8 +152,8 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
     name, unit = robot.joint_names[i], 'm' if robot.is_prismatic_joint[i] else 'rad'
     if not (math.isfinite(low) and math.isfinite(high) and high - low >= _LEAST_RANGE):
         raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected a finite "
-            f'upper end at least {_LEAST_RANGE:g} {unit} above the lower end'
+            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected finite ends, "
+            f'with the upper end at least {_LEAST_RANGE:g} {unit} above the lower end'
         )
     if low < robot.lower[i] or high > robot.upper[i]:
         raise ConfigurationError(

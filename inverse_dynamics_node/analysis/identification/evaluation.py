@@ -203,7 +203,13 @@ def _variation(unseen: Unseen) -> float:
 
 
 def _is_better(unseen: Unseen) -> bool:
-    """Return whether the identified model has smaller residuals than a fit of friction alone."""
+    """
+    Return whether the identified model is clearly better than a fit of friction alone.
+
+    The model must reduce the total residual by the fraction `LEAST_GAIN`. The residuals of the
+    joints may increase on average, but by less than this fraction.
+
+    """
     friction = rms(unseen.measured - unseen.friction)
     identified = rms(unseen.measured - unseen.identified)
     total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))
@@ -393,15 +399,15 @@ def _warnings(
     problem = data.problem
     names = problem.identified.robot.joint_names
     warnings = []
-    if problem.currents:
+    if problem.currents and not problem.has_known_mass:
         warnings.append(
             (
                 'gains, masses and friction are known only up to one common factor',
-                'without a known payload, the masses of the URDF determine this factor. If these '
-                'masses may be wrong, record a run with a known payload, and use --payload '
-                'MASS,X,Y,Z --link LINK',
+                'the masses of the URDF determine this factor. If these masses may be wrong, '
+                'record a run with a known payload, and use --payload MASS,X,Y,Z --link LINK',
             )
         )
+    if problem.currents:
         warnings += [
             (
                 f'the gain of {names[joint]} cannot be determined, because the current hardly '

@@ -106,8 +106,7 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
     Return whether `fit` predicts left-out blocks clearly better than the smaller model `base`.
 
     `fit` must reduce the squared residuals of `joints` by the fraction `least` on average. The
-    improvement must be similar in all blocks, because one block may contain most of the squared
-    residuals.
+    blocks must improve consistently, because one block may contain most of the squared residuals.
 
     """
     try:

@@ -189,9 +189,8 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
     """Return a factor that restores the geometric mean of the gains, or 1 if a mass is known."""
-    problem, known = data.problem, data.correction.is_gain_known
-    fixed = problem.identified.fixed_robot()
-    if problem.payload is not None or fixed.mass[1:].any() or not known.any():
+    known = data.correction.is_gain_known
+    if data.problem.has_known_mass or not known.any():
         return 1.0
     return float(np.exp(-np.mean(np.log(change[known]))))
 

@@ -25,8 +25,8 @@ STRETCHES = (1.0, 1.5, 2.0)
 """
 Factors to try for the length of the smoothing window.
 
-With encoder noise of 5e-4 rad at 125 Hz, a factor of 2 reduced the model error by a sixth. An
-increase of the factor from 2 to 4 reduced the remaining error by less than 1 %.
+With encoder noise of 5e-4 rad at 125 Hz, a factor of 2 reduced the model error by a sixth. A
+factor of 4 reduced the model error by less than another 1 %.
 """
 CLEAN = 0.05
 """Acceptable noise of accelerations, as a fraction of the RMS acceleration."""

@@ -178,6 +178,11 @@ class IdentificationProblem:
         before = joints_before(self.identified.robot)[self.joints].tolist()
         return np.array([self.joints.index(k) if k in self.joints else -1 for k in before])
 
+    @property
+    def has_known_mass(self) -> bool:
+        """Whether a payload or a link that is not identified has a known mass."""
+        return self.payload is not None or bool(self.identified.fixed_robot().mass[1:].any())
+
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
         """Return the dynamics of a robot with the payload and without friction."""
         dynamics = InverseDynamics(robot, self.gravity)

@@ -169,8 +169,8 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
     """
     Return the robot description with identified inertials and friction.
 
-    `path_or_xml` is the original robot description. Only the values of inertials and friction
-    change. If the model was not accepted, only friction changes.
+    `path_or_xml` is the original robot description. Only inertials and friction change. If the
+    model was not accepted, only friction changes.
 
     """
     robot = result.robot

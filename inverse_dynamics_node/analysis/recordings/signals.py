@@ -443,7 +443,7 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
 
 
 def resolution(values: Floats) -> float:
-    """Return the step between quantised values, or 0 if the values are not quantised."""
+    """Return the step between quantised values, or 0 if no quantisation is evident."""
     levels = np.unique(values)
     # A quantised signal repeats its values, and all steps are multiples of the smallest step.
     if len(levels) < 3 or len(levels) > 0.2 * len(values):

@@ -173,7 +173,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the matrix that projects points onto the picture plane, shape (3, 2)."""
+    """Return the matrix that projects points to the directions across and up, shape (3, 2)."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]

@@ -221,7 +221,11 @@ def check_missing_inertials(
 
 
 _FEWEST_ALIKE = 3
-"""Fewer links with equal values cause no warning, because two links may be identical parts."""
+"""
+Fewer links with equal values cause no warning, because two links may be identical parts.
+
+Two unit inertias suffice for a warning.
+"""
 _FRACTION_ALIKE = 0.8
 """If at least this fraction of the links with mass have equal values, warn of placeholders."""
 

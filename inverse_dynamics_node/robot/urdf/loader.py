@@ -53,8 +53,9 @@ def load_urdf(
     UrdfError
         If the file cannot be read, or the description has errors. The joints must form one tree,
         and must be revolute, continuous, prismatic or fixed. Inertias must be complete.
-        A ``<limit>`` must contain effort and velocity. A robot without joints is an error. The
-        message lists all errors with their lines.
+        Revolute and prismatic joints need a ``<limit>``. A ``<limit>`` must contain effort and
+        velocity. A robot without joints is an error. The message lists all errors with their
+        lines.
     ConfigurationError
         If ``on_missing_inertial`` is neither 'warn' nor 'refuse'.
 

@@ -392,7 +392,7 @@ def _warn_of_odd_inertia(
 _LIMITED_TYPES = ('revolute', 'prismatic')
 _UNSUPPORTED_TYPES = {
     'planar': 'use two prismatic joints and a continuous one, with massless links between them',
-    'floating': 'remove this joint, and set the parameter base_motion of the node instead',
+    'floating': 'remove this joint; if the base moves, set the parameter base_motion of the node',
 }
 
 MIN_AXIS_LENGTH = 1e-6

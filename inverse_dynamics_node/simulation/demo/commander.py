@@ -67,7 +67,7 @@ class History:
 
     def __init__(self) -> None:
         self.states = Series()
-        """Positions and desired positions [rad or m], efforts [N m or N]; rows of shape (3, n)."""
+        """Positions, desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
         self.commands = Series()
         """Commanded efforts [N m or N]; rows with one value per commanded joint."""
         self.external = Series()

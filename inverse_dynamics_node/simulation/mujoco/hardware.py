@@ -113,7 +113,7 @@ class MujocoRobot:
         return np.asarray(self._data.qvel[self._order])
 
     def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
-        """Command efforts to track desired positions, velocities and accelerations."""
+        """Command efforts to track positions, velocities and accelerations, each of shape (n,)."""
         kp, kd = DRIVE_GAINS
         error, rate = q - self.positions(), qd - self.velocities()
         efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()
@@ -166,7 +166,7 @@ class MujocoRobot:
         return np.asarray(momenta @ self._coupling)
 
     def bias_efforts(self) -> Floats:
-        """Return gravity and Coriolis efforts, including those of mimic joints, shape (n,)."""
+        """Return efforts due to gravity and velocities, including mimic joints, shape (n,)."""
         return np.asarray(self._coupling.T @ self._data.qfrc_bias)
 
     def gravity_efforts(self) -> Floats:
