@@ -68,7 +68,7 @@ verdict = @echo '$(1):'; output=$$($(CLEAN) $(BIN)/python $(2)) || { echo "$$out
     echo "$(1): $$(echo "$$output" | tail -n 1)" >> $(SUMMARY)
 
 # What `make test` runs, and what it leaves out: the long tests, everything without numba, and fuzzing.
-# The long tests of the node run in real time and compute: more than three at once stall each other.
+# The long tests of the node run in real time and compute: two at once would stall each other.
 test-all: $(VENV)/test.done lint
 	@rm -f $(SUMMARY)
 	$(call stage,library,,$(LIBRARY))
@@ -76,7 +76,8 @@ test-all: $(VENV)/test.done lint
 	$(call stage,fuzzing,,--hypothesis-profile long --numprocesses 2 $(FUZZED))
 	$(call verdict,random events,test/random_driver.py --events 1000000)
 	$(call verdict,suspensions,test/suspensions.py)
-	$(call stage,node,,--numprocesses 3 $(NODE))
+	$(call stage,node,,-m 'not long' --numprocesses 6 $(NODE))
+	$(call stage,long tests of the node,,-m long --numprocesses 1 $(NODE))
 	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
 	@cat $(SUMMARY)
 
