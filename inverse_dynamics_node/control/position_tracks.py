@@ -23,7 +23,7 @@ may seem to move slightly too fast, because messages may be late. Each joint the
 room for motion in each direction. The room grows at twice the speed limit, and shrinks as the
 joint moves in this direction. The room is at most the distance that the joint covers at twice the
 speed limit within the largest expected delay. After a pause, the room is zero, so that motion in a
-burst of old messages counts as a jump.
+burst of old messages is treated as a jump.
 
 All times are times of arrival.
 """
