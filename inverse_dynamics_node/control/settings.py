@@ -185,8 +185,8 @@ class Settings:
     stop_ramp: float = setting(
         0.5,
         'Time for the efforts to fall to zero',
-        'A change does not affect a ramp in progress. A launch file ends the ramp after 5 s, '
-        'unless it sets `sigterm_timeout`',
+        'A change does not affect a ramp in progress. `ros2 launch` ends the ramp after 5 s, '
+        'unless the launch file sets `sigterm_timeout`',
         unit='s',
         minimum=0.0,
         maximum=60.0,

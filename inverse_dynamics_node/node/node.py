@@ -228,7 +228,7 @@ class InverseDynamicsNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node, so that it leaves the ROS graph at once."""
         super().destroy_node()
-        # Otherwise it keeps the node alive (rclpy 7.1), and its shared memory after the process.
+        # In rclpy 7.1, the state machine keeps the node alive, and in the graph for another 20 s.
         self._state_machine.destroy_when_not_in_use()
 
     def _configure(self) -> None:
