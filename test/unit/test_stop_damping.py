@@ -200,6 +200,22 @@ def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own()
     assert not arm.stop_damping.report
 
 
+@pytest.mark.parametrize('begins', [5, 7], ids=['with the stop', 'later'])
+def test_joint_states_that_arrive_together_after_a_pause_do_not_end_it(begins):
+    """The first state after the pause is old: the joint has moved less than its velocity says."""
+    settings = Settings(start_ramp=0.0, use_urdf_effort_limits=False, **SLOW)
+    arm = Controller(DYNAMICS, (), settings)
+    qd, pause = np.array([2.0, -1.0]), 12
+    for k in range(100):
+        sent = PERIOD * k
+        end = begins + pause
+        now = PERIOD * end - 1e-5 * (end - k) if begins <= k < end else sent
+        if k == 5:
+            arm.stop()
+        arm.step(now, joint_state(Q + sent * qd, qd, now), None)
+    assert arm.stop_damping.is_active
+
+
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('value', ['positions', 'velocities'])
 def test_a_state_that_cannot_be_computed_with_leaves_the_ordinary_stop(value):
