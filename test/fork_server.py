@@ -6,7 +6,8 @@ copy needs none of these. Everything else is as with `python -m`: a process of i
 own environment, signals, pipes and exit code. Tests of the start itself run `python -m`.
 
 Nothing of ROS is initialized before the copy, so that the server has no threads. What a copy
-starts by `python -m` is a copy too, if no thread would be missing in it.
+starts by `python -m` is a copy too, if no thread would be missing in it. The processes of pytest
+share one server: the process that starts them starts it, and they find its name in NAME.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ MODULES = (
     'scipy.interpolate',
     'yourdfpy',
 )
+NAME = 'FORK_SERVER'  # environment variable
 _LIBRARIES = sys.path[1:]
 _INTEGER = struct.Struct('i')
 _SIZE = 1 << 20  # of a request: arguments and environment
@@ -97,6 +99,10 @@ class ForkedProcess:
         self.send_signal(signal.SIGKILL)
 
 
+def _socket():
+    return socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+
+
 class ForkServer:
     """The process that copies itself; starts with the first request."""
 
@@ -104,21 +110,27 @@ class ForkServer:
         self._socket = None
 
     def start(self):
-        """Start the server, which takes two seconds, without waiting for it."""
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        for end in (self._socket, theirs):
-            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SIZE)
-        with theirs:
-            self._server = subprocess.Popen(
-                [sys.executable, __file__, str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
+        """Connect to the server of NAME, or start one, which takes two seconds; do not wait."""
+        self._socket = _socket()
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SIZE)
+        if NAME in os.environ:
+            self._socket.connect('\0' + os.environ[NAME])
+            return
+        os.environ[NAME] = f'fork_server_{os.getpid()}'
+        with _socket() as listener:
+            listener.bind('\0' + os.environ[NAME])
+            listener.listen()
+            self._socket.connect(listener.getsockname())
+            server = subprocess.Popen(
+                [sys.executable, __file__, str(listener.fileno())],
+                pass_fds=[listener.fileno()],
                 stdin=subprocess.DEVNULL,
             )
-        atexit.register(self._stop)
+        atexit.register(self._stop, server)
 
-    def _stop(self):
+    def _stop(self, server):
         self._socket.close()
-        self._server.wait()
+        server.wait()
 
     def run(self, arguments, environment=None, folder=None, stdin=None, stdout=None, stderr=None):
         """
@@ -232,22 +244,36 @@ def warm_up():
 
 
 def serve(number):
-    """Copy this process for each request; return the request in the copy, None in the end."""
+    """
+    Copy this process for each request; return the request in the copy.
+
+    Return None when the process that started the server, which is the first to connect, has ended.
+
+    """
     warm_up()
     # Ctrl-C is for the tests, which end this process. A signal to a copy waits for its handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    requests = socket.socket(fileno=number)
     selector = selectors.DefaultSelector()
-    selector.register(requests, selectors.EVENT_READ)
+    listener = socket.socket(fileno=number)
+    owner, _ = listener.accept()
+    for each in (listener, owner):
+        selector.register(each, selectors.EVENT_READ)
     while True:
         for key, _ in selector.select():
-            if key.fileobj is not requests:
+            if key.data:
                 selector.unregister(key.fileobj)
                 _report_end(key.fileobj, *key.data)
                 continue
-            data, files, _, _ = socket.recv_fds(requests, _SIZE, 4)
+            if key.fileobj is listener:
+                selector.register(listener.accept()[0], selectors.EVENT_READ)
+                continue
+            data, files, _, _ = socket.recv_fds(key.fileobj, _SIZE, 4)
             if not data:
-                return None
+                if key.fileobj is owner:
+                    return None
+                selector.unregister(key.fileobj)
+                key.fileobj.close()
+                continue
             *channels, answers = files
             pid = os.fork()
             if pid == 0:
@@ -255,8 +281,9 @@ def serve(number):
                     if other.data:
                         os.close(other.fd)
                         os.close(other.data[1])
+                    else:
+                        other.fileobj.close()
                 os.close(answers)
-                requests.close()
                 selector.close()
                 return json.loads(data), channels
             for file in channels:

@@ -30,9 +30,8 @@ _ROBOTS = []  # of the test
 _DOMAINS = itertools.cycle(random.Random(os.getpid()).sample(range(1, 101), 100))
 
 
-def pytest_configure(config):
-    if not config.getoption('numprocesses', None):  # not the process that distributes the tests
-        SERVER.start()  # in parallel with the imports of the tests
+def pytest_configure():
+    SERVER.start()  # in parallel with the imports of the tests
 
 
 def pytest_collection_modifyitems(items):
