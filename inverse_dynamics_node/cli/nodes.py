@@ -46,7 +46,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
         if not is_patient and waited > MOST_DISCOVERY:
             raise ConfigurationError(_not_found(wanted, names))
         if waited > _PATIENCE and not has_announced:
-            print(f'{_not_found(wanted, names)}; waiting for a node', file=sys.stderr)
+            print(f'{_not_found(wanted, names)}; still waiting', file=sys.stderr)
             has_announced = True
         time.sleep(0.05)
     if wanted in chosen:

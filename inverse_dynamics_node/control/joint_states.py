@@ -170,7 +170,8 @@ class JointStateCollector:
         velocities are stored as zero.
 
         The result is true if the message names a joint of the robot. A JointStateError is raised
-        if the lengths differ, or if a position or a required velocity is not finite.
+        if the lengths differ, if a position is not finite, if a velocity is infinite, or if a
+        required velocity is missing.
 
         """
         names = layout.names
@@ -326,8 +327,10 @@ class JointStateCollector:
         # A velocity that is missing briefly is a fault. A velocity that stays missing may have
         # come from another publisher, such as ros2 topic pub.
         is_recent = (now >= times) & (now < times + self.velocity_timeout)
-        is_lost = has_velocity & np.isnan(qd) & ~is_recent
-        self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)
+        is_missing = np.isnan(qd)
+        is_lost = has_velocity & is_missing & ~is_recent
+        is_valid = is_finite | (is_missing & ~has_velocity) | is_lost
+        self._reject('velocity', qd, is_valid, in_robot)
         if is_lost.any():
             self.lost_velocities += [self.joint_names[i] for i in in_robot[is_lost]]
             self._losses += 1  # every layout is checked again

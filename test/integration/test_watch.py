@@ -302,7 +302,7 @@ def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
 
 def test_interrupt_ends_the_wait_for_a_node(robot, terminal):
     view = terminal()
-    robot.wait_until(lambda: 'waiting for a node' in view.screen, 'wait for a node')
+    robot.wait_until(lambda: 'still waiting' in view.screen, 'wait for a node')
     code, took = view.press_ctrl_c(robot)
     assert code == 130
     assert took < SOON

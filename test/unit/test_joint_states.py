@@ -118,8 +118,9 @@ def test_velocities_that_several_publishers_lose_and_regain_are_noticed_every_ti
         assert collector.has_jumped
 
 
-def test_a_velocity_that_is_infinite_is_rejected_after_a_while_too(collector):
-    store_state(collector, 1.0, ['elbow'], [2.0], [0.2])
+@pytest.mark.parametrize('before', [[0.2], []], ids=['after a while', 'as the first one'])
+def test_an_infinite_velocity_is_rejected(collector, before):
+    store_state(collector, 1.0, ['elbow'], [2.0], before)
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is inf"):
         store_state(collector, 9.0, ['elbow'], [2.0], [math.inf])
 

@@ -83,8 +83,8 @@ def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
     if min(forth, back) < least:
         return (
-            f'this joint moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
-            f'at least {least:g} s in each direction'
+            f'this joint moved faster than {fast:g} rad/s or m/s for {forth:.2g} s forward and '
+            f'{back:.2g} s backward, expected at least {least:g} s in each direction'
         )
     return ''
 
