@@ -179,7 +179,7 @@ def _run(args: list[str], stop: _Stop) -> int:
             logger.warning(text)
         if not stop.count and not node.autostart():
             return 1
-        while not stop.count and not node.is_finalized:
+        while not stop.count and not node.may_leave:
             watchdog.spin(executor)
             if watchdog.is_congested:
                 node.catch_up()

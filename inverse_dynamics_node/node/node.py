@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import gc
+import math
 import time
 import traceback
 from typing import Any
@@ -39,6 +40,8 @@ from .trajectory_filler import TrajectoryFiller
 from .worker import Worker
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
+# On a busy machine, a client loses an answer if the node leaves the graph before it has read it.
+_ANSWER_TIME = 1.0  # [s]; between a shutdown transition and the end of the node
 _LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -71,7 +74,7 @@ class InverseDynamicsNode(LifecycleNode):
         configuration = declare_parameters(self)
         for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
-        self.is_finalized = False
+        self._leaves_at = math.inf  # [s]
         self._may_autostart = configuration.autostart
         self._was_active = False
         self._description = ''  # the latest text from the topic
@@ -222,8 +225,13 @@ class InverseDynamicsNode(LifecycleNode):
         """Ramp the efforts down to zero, and then let `main` end the process."""
         if self._runner.is_active:
             self._ramp_down()
-        self.is_finalized = True
+        self._leaves_at = time.monotonic() + _ANSWER_TIME
         return super().on_shutdown(state)
+
+    @property
+    def may_leave(self) -> bool:
+        """Whether a shutdown transition has ended, and its answer has had time to arrive."""
+        return time.monotonic() >= self._leaves_at
 
     def destroy_node(self) -> None:
         """Destroy the node, so that it leaves the ROS graph at once."""

@@ -334,6 +334,9 @@ def test_lifecycle_by_hand(run_node, robot):
     node.may_end = True
     assert robot.change_state('active_shutdown')
     assert robot.wait_for_end(node) == 0
+    # A client on a busy machine would lose an answer if the node left at once.
+    [*_, stopped] = re.findall(r'\[(\d+\.\d+)\] .*: stopped, zeros sent', node.output)
+    assert time.time() - float(stopped) > 1.0
     robot.wait_for_command(np.zeros(6), tolerance=0.0)
     assert 'Traceback' not in node.output
 
