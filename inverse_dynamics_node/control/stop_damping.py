@@ -19,15 +19,18 @@ AT_REST = 'the arm is at rest'
 # An arm that moves less than this distance within this time is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # Velocities contradict positions if the integral of the velocity differs from the change of
-# position. The permitted difference is the sum of a constant, a fraction of the larger value, and
-# the longest recent way between two joint states. Changes older than about a second are forgotten,
-# so that noise does not add up. In simulations, the constant had to be at least 0.003 for a stop
-# from rest, and 0.015 for a stop from up to 2 rad/s. The simulations had a delay of 5 ms and a
-# noise of 0.01 rad/s. A wrong sign was detected within 0.02 s at 2 rad/s, and within 0.12 s after
-# a stop from rest. The longest way permits joint states that arrive together after a pause. In 216
-# simulated stops with pauses of 10 to 90 ms, the damping ended too early in 3 stops with this
-# term, and in 30 without it.
+# position. The permitted difference is a constant plus a fraction of the larger value plus an
+# allowance. Changes older than about a second are forgotten, so that noise does not add up. In
+# simulations without the allowance, the constant had to be at least 0.003 for a stop from rest,
+# and 0.015 for a stop from up to 2 rad/s. The simulations had a delay of 5 ms and a noise of 0.01
+# rad/s. A wrong sign was detected within 0.02 s at 2 rad/s, and within 0.12 s after a stop from
+# rest.
 _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
+# The allowance permits joint states that arrive together after a pause of the computer: the first
+# of them is old. The allowance is the time between two states multiplied by the smaller of their
+# speeds, so that a single wrong velocity does not increase it. In 216 simulated stops with pauses
+# of 10 to 90 ms, the damping ended too early in 4 stops with the allowance, and in 30 without it.
+_LONGEST_PAUSE = 0.1  # [s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
@@ -62,7 +65,8 @@ class StopDamping:
         self._passed = -1.0  # [s] since the first command of the stop; at first negative
         self._q = self._qd = self._times = np.zeros(len(index))
         self._rest_since = 0.0  # [s]
-        self._rest = self._way = self._integral = self._late = self._q
+        self._rest = self._way = self._integral = self._allowance = self._q
+        self._pause = 0.0  # [s]; before the first command of the stop
 
     def begin(self, settings: Settings, scale: Floats, limits: Floats) -> None:
         """
@@ -76,7 +80,7 @@ class StopDamping:
         self._scale, self.limits, self._longest = scale, limits, 0.0
         self.is_active = settings.stop_damping > 0.0
         self._settings, self._passed, self.report = settings, -1.0, ''
-        self._way, self._integral = np.zeros((2, len(self._index)))
+        self._way, self._integral, self._allowance = np.zeros((3, len(self._index)))
         self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
@@ -102,7 +106,9 @@ class StopDamping:
             return None
         is_first = self._passed < 0.0
         self._passed = 0.0 if is_first else self._passed + step
-        problem = self._track(now, state, since if is_first else None)
+        if is_first:
+            self._pause = since
+        problem = self._track(now, state, is_first)
         settings = self._settings
         late = max(0.0, self._passed - settings.stop_timeout)
         left = 1.0 - ramp_fraction(late, settings.stop_ramp) if late else 1.0
@@ -117,21 +123,13 @@ class StopDamping:
         factor = min(left, ramp_fraction(self._passed, settings.stop_ramp))
         return self._damp(state, factor * self._rate(now - state.time, since))
 
-    def _track(self, now: float, state: State | None, begins_after: float | None) -> str:
-        """
-        Compare velocities with changes of position; return a problem, or ''.
-
-        ``begins_after`` is None except for the first command of a stop. For the first command, it
-        is the time since the last command [s].
-
-        """
+    def _track(self, now: float, state: State | None, is_first: bool) -> str:
+        """Compare velocities with changes of position; return a problem, or ''."""
         timeout = self._settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
             return 'the joint states are lost or contradictory'
         q, qd, times = (x[self._index] for x in (state.q, state.qd, state.times))
-        if begins_after is not None:
-            self._late = min(begins_after, timeout) * np.abs(qd)
-        else:
+        if not is_first:
             elapsed = times - self._times
             if not ((elapsed >= 0.0) & (elapsed <= timeout)).all():
                 return 'the joint states were lost'
@@ -139,11 +137,13 @@ class StopDamping:
             memory = np.maximum(0.0, 1.0 - elapsed / _MEMORY)
             self._way = memory * (self._way + way)
             self._integral = memory * (self._integral + 0.5 * elapsed * (self._qd + qd))
-            fastest = np.maximum(np.abs(self._qd), np.abs(qd))
-            self._late = np.maximum(elapsed * fastest, memory * self._late)
+            pause = np.minimum(np.maximum(elapsed, self._pause), _LONGEST_PAUSE)
+            slower = np.minimum(np.abs(self._qd), np.abs(qd))
+            self._allowance = np.maximum(pause * slower, memory * self._allowance)
+            self._pause = 0.0
         self._q, self._qd, self._times = q, qd, times
         size = np.maximum(np.abs(self._way), np.abs(self._integral))
-        bound = _LEAST_ERROR + _RELATIVE_ERROR * size + self._late
+        bound = _LEAST_ERROR + _RELATIVE_ERROR * size + self._allowance
         is_wrong = ~(np.abs(self._way - self._integral) <= bound)
         if is_wrong.any():
             joint = self._dynamics.robot.joint_names[self._index[int(np.argmax(is_wrong))]]

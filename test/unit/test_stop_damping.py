@@ -200,20 +200,46 @@ def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own()
     assert not arm.stop_damping.report
 
 
-@pytest.mark.parametrize('begins', [5, 7], ids=['with the stop', 'later'])
-def test_joint_states_that_arrive_together_after_a_pause_do_not_end_it(begins):
-    """The first state after the pause is old: the joint has moved less than its velocity says."""
+PAUSE = 12  # periods
+
+
+def stop_with_pause(begins, reported):
+    """Return the report of a stop after five periods, and the number of periods until its end."""
     settings = Settings(start_ramp=0.0, use_urdf_effort_limits=False, **SLOW)
     arm = Controller(DYNAMICS, (), settings)
-    qd, pause = np.array([2.0, -1.0]), 12
+    qd = np.array([2.0, -1.0])
     for k in range(100):
         sent = PERIOD * k
-        end = begins + pause
+        end = begins + PAUSE
         now = PERIOD * end - 1e-5 * (end - k) if begins <= k < end else sent
         if k == 5:
             arm.stop()
-        arm.step(now, joint_state(Q + sent * qd, qd, now), None)
-    assert arm.stop_damping.is_active
+        arm.step(now, joint_state(Q + sent * qd, reported(k) * qd, now), None)
+        if arm.stop_damping.report:
+            return arm.stop_damping.report, k - 5
+    return '', 95
+
+
+pauses = pytest.mark.parametrize('begins', [5, 7], ids=['with the stop', 'later'])
+
+
+@pauses
+def test_joint_states_that_arrive_together_after_a_pause_do_not_end_it(begins):
+    """The first state after the pause is old: the joint has moved less than its velocity says."""
+    assert stop_with_pause(begins, lambda k: 1.0) == ('', 95)
+
+
+@pauses
+def test_a_wrong_sign_during_a_pause_ends_it_soon_after(begins):
+    report, periods = stop_with_pause(begins, lambda k: -1.0)
+    assert 'contradict its positions' in report
+    assert periods < 2 * PAUSE + 5
+
+
+def test_one_wrong_velocity_ends_it():
+    report, periods = stop_with_pause(40, lambda k: 100.0 if k == 30 else 1.0)
+    assert 'contradict its positions' in report
+    assert periods == 25
 
 
 @pytest.mark.filterwarnings('error')
