@@ -6,8 +6,10 @@ copy needs none of these. Everything else is as with `python -m`: a process of i
 own environment, signals, pipes and exit code. Tests of the start itself run `python -m`.
 
 Nothing of ROS is initialized before the copy, so that the server has no threads. What a copy
-starts by `python -m` is a copy too, if no thread would be missing in it. The processes of pytest
-share one server: the process that starts them starts it, and they find its name in NAME.
+starts by `python -m` is a copy too, if no thread would be missing in it.
+
+The processes of pytest-xdist share a server if the process that starts them has already started
+one, as `integration/conftest.py` does. Otherwise, each starts its own.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ MODULES = (
     'scipy.interpolate',
     'yourdfpy',
 )
-NAME = 'FORK_SERVER'  # environment variable
+ADDRESS = 'FORK_SERVER'  # environment variable with the path of the server's socket
 _LIBRARIES = sys.path[1:]
 _INTEGER = struct.Struct('i')
 _SIZE = 1 << 20  # of a request: arguments and environment
@@ -104,33 +106,39 @@ def _socket():
 
 
 class ForkServer:
-    """The process that copies itself; starts with the first request."""
+    """A connection to the process that copies itself; made by `start` or the first request."""
 
     def __init__(self):
         self._socket = None
 
     def start(self):
-        """Connect to the server of NAME, or start one, which takes two seconds; do not wait."""
-        self._socket = _socket()
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SIZE)
-        if NAME in os.environ:
-            self._socket.connect('\0' + os.environ[NAME])
+        """Connect to the server of another process, or start one, without waiting for it."""
+        if self._socket is not None:
             return
-        os.environ[NAME] = f'fork_server_{os.getpid()}'
-        with _socket() as listener:
-            listener.bind('\0' + os.environ[NAME])
-            listener.listen()
-            self._socket.connect(listener.getsockname())
-            server = subprocess.Popen(
-                [sys.executable, __file__, str(listener.fileno())],
-                pass_fds=[listener.fileno()],
-                stdin=subprocess.DEVNULL,
-            )
-        atexit.register(self._stop, server)
+        client = _socket()
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SIZE)
+        if ADDRESS in os.environ:
+            client.connect(os.environ[ADDRESS])
+        else:
+            folder = tempfile.TemporaryDirectory()  # only this user may connect
+            os.environ[ADDRESS] = f'{folder.name}/fork_server'
+            with _socket() as listener:
+                listener.bind(os.environ[ADDRESS])
+                listener.listen()
+                client.connect(os.environ[ADDRESS])
+                server = subprocess.Popen(
+                    [sys.executable, __file__, str(listener.fileno())],
+                    pass_fds=[listener.fileno()],
+                    stdin=subprocess.DEVNULL,
+                )
+            atexit.register(self._stop, server, folder)
+        self._socket = client
 
-    def _stop(self, server):
+    def _stop(self, server, folder):
+        del os.environ[ADDRESS]
         self._socket.close()
         server.wait()
+        folder.cleanup()
 
     def run(self, arguments, environment=None, folder=None, stdin=None, stdout=None, stderr=None):
         """
@@ -153,8 +161,7 @@ class ForkServer:
         process : ForkedProcess
 
         """
-        if self._socket is None:
-            self.start()
+        self.start()
         request = {
             'arguments': [str(argument) for argument in arguments],
             'environment': {**os.environ, **(environment or {})},
@@ -288,15 +295,19 @@ def serve(number):
                 return json.loads(data), channels
             for file in channels:
                 os.close(file)
-            os.write(answers, _INTEGER.pack(pid))
+            _answer(answers, pid)
             selector.register(os.pidfd_open(pid), selectors.EVENT_READ, (pid, answers))
+
+
+def _answer(answers, number):
+    with contextlib.suppress(BrokenPipeError):  # nobody waits for it
+        os.write(answers, _INTEGER.pack(number))
 
 
 def _report_end(pidfd, pid, answers):
     _, status = os.waitpid(pid, 0)
     os.close(pidfd)
-    with contextlib.suppress(BrokenPipeError):  # nobody waits for it
-        os.write(answers, _INTEGER.pack(os.waitstatus_to_exitcode(status)))
+    _answer(answers, os.waitstatus_to_exitcode(status))
     os.close(answers)
 
 

@@ -1,10 +1,11 @@
 """Copies of the fork server behave like programs that `python` starts."""
 
 import os
+from pathlib import Path
 import signal
 import subprocess
 
-from fork_server import SERVER
+from fork_server import ForkServer, SERVER
 import pytest
 
 
@@ -26,6 +27,18 @@ def test_a_program_ends_with_its_own_code_and_output(code, expected, output):
     text, _ = process.communicate(timeout=60.0)
     assert process.wait(60.0) == expected
     assert output in text
+
+
+def test_the_server_outlives_a_client_that_ends():
+    SERVER.start()
+    client = ForkServer()
+    process = client.run(['-c', 'import time; time.sleep(1000.0)'])
+    client._socket.close()
+    other = SERVER.run(['-c', 'import os; print(os.getppid())'], stdout=subprocess.PIPE)
+    parent = int(other.communicate(timeout=60.0)[0])
+    assert parent == int(Path(f'/proc/{process.pid}/stat').read_text().split()[3])
+    process.kill()
+    assert process.wait(60.0) == -signal.SIGKILL
 
 
 PROGRAM = """
