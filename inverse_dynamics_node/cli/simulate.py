@@ -10,9 +10,9 @@ from .arguments import CommandParser
 
 EPILOG = """\
 The robot publishes joint_states with efforts. At first, a position controller holds the robot.
-When commands have arrived for 1.5 s and have stopped rising, the robot follows the commands, like
-an arm with a forward_command_controller. When the commands stop, the position controller takes
-over after 0.5 s.
+When commands have arrived for 1.5 s and their efforts are steady, the robot follows the commands,
+like an arm with a forward_command_controller. When the commands stop, the position controller
+takes over after 0.5 s.
 
 The velocities are supervised: if a joint is too fast, the position controller brakes the robot and
 holds it. The bound is twice the velocity limit, or 12.6 rad/s or 2 m/s if the URDF has no limit.

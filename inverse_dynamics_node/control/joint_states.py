@@ -171,7 +171,7 @@ class JointStateCollector:
 
         The result is true if the message names a joint of the robot. A JointStateError is raised
         if the lengths differ, if a position is not finite, if a velocity is infinite, or if a
-        required velocity is missing.
+        required velocity is missing or NaN.
 
         """
         names = layout.names
@@ -329,8 +329,8 @@ class JointStateCollector:
         is_recent = (now >= times) & (now < times + self.velocity_timeout)
         is_missing = np.isnan(qd)
         is_lost = has_velocity & is_missing & ~is_recent
-        is_valid = is_finite | (is_missing & ~has_velocity) | is_lost
-        self._reject('velocity', qd, is_valid, in_robot)
+        is_optional = ~(has_velocity & is_recent)
+        self._reject('velocity', qd, is_finite | (is_missing & is_optional), in_robot)
         if is_lost.any():
             self.lost_velocities += [self.joint_names[i] for i in in_robot[is_lost]]
             self._losses += 1  # every layout is checked again

@@ -111,10 +111,12 @@ class HandOver:
     Decides whether the position controller or the commands move a simulated robot.
 
     The commands take over after they have arrived for ``release`` seconds and their efforts have
-    stopped rising. An earlier hand-over would drop the robot. The position controller ``drive``
-    takes over when the commands stop, when `hold` is called, or when a joint becomes too fast.
-    After a joint has become too fast, commands are ignored until they pause. The brakes must be
-    open. ``log`` is a logger of rclpy or of Python.
+    become steady. An earlier hand-over would drop the robot. Commands whose efforts do not become
+    steady take over after `LONGEST` seconds. The position controller ``drive`` takes over when the
+    commands stop, when `hold` is called, or when a joint becomes too fast. After a joint has
+    become too fast, commands are ignored until they pause. The brakes must be open. ``log`` is a
+    logger of rclpy or of Python.
+
     """
 
     def __init__(
@@ -137,7 +139,8 @@ class HandOver:
             return True, 'the position controller holds the robot; commands are ignored'
         if self._has_fault:
             return False, f'commands are ignored until they pause for {SILENCE} s'
-        return True, 'the robot follows the commands as soon as their efforts stop rising'
+        message = 'the robot follows the commands when their efforts are steady'
+        return True, f'{message}, at the latest in {LONGEST:g} s'
 
     def command(self, command: Command, now: float) -> None:
         """Handle a complete and finite command that arrives at the time ``now`` [s]."""

@@ -11,7 +11,7 @@ brakes are on. Open brakes stay open if the commands stop, but not if the sensor
 
 With ``--drive``, a position controller replaces the brakes. While this controller holds the robot,
 the joint states contain the efforts of the controller. The commands take over after they have
-arrived for a while and their efforts have stopped rising. The controller takes over again when the
+arrived for a while and their efforts are steady. The controller takes over again when the
 commands stop, when a joint becomes too fast, or when the service ``~/hold`` is called. With
 ``--driver``, commands and measured efforts follow the conventions of a driver.
 
