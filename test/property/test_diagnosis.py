@@ -385,7 +385,7 @@ def test_friction_is_unknown_for_motion_in_one_direction():
     t = 0.002 * np.arange(5000)
     result = diagnose_recording(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
                                   0.05 * np.cos(t)))  # fmt: skip
-    assert 'back for 0 s' in result.joints[0].friction.unknown_because
+    assert '0 s backward' in result.joints[0].friction.unknown_because
 
 
 def test_friction_is_unknown_for_motion_at_one_speed():
