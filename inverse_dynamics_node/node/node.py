@@ -40,7 +40,7 @@ from .trajectory_filler import TrajectoryFiller
 from .worker import Worker
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
-# On a busy machine, a client loses an answer if the node leaves the graph before it has read it.
+# On a busy machine, an answer is lost if the node leaves the graph before the client has read it.
 _ANSWER_TIME = 1.0  # [s]; between a shutdown transition and the end of the node
 _LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
@@ -222,7 +222,8 @@ class InverseDynamicsNode(LifecycleNode):
         return _SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Ramp the efforts down to zero, and then let `main` end the process."""
+        """Ramp the efforts down to zero, and let `main` end the process a second later."""
+        self._may_autostart = False  # a description may arrive in this second
         if self._runner.is_active:
             self._ramp_down()
         self._leaves_at = time.monotonic() + _ANSWER_TIME

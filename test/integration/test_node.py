@@ -341,6 +341,16 @@ def test_lifecycle_by_hand(run_node, robot):
     assert 'Traceback' not in node.output
 
 
+def test_a_description_after_a_shutdown_is_ignored(run_node, robot):
+    node = run_node()
+    robot.wait_for_text(node, 'waiting for a robot description')
+    node.may_end = True
+    assert robot.change_state('unconfigured_shutdown')
+    robot.publish_description(STANFORD.read_text())
+    assert robot.wait_for_end(node) == 0
+    assert 'Traceback' not in node.output
+
+
 def test_configure_without_a_description_fails_with_a_message(run_node, robot):
     node = run_node(autostart=False)
     assert not robot.change_state('configure')
