@@ -121,16 +121,17 @@ class ForkServer:
             client.connect(os.environ[ADDRESS])
         else:
             folder = tempfile.TemporaryDirectory()  # only this user may connect
-            os.environ[ADDRESS] = f'{folder.name}/fork_server'
+            address = f'{folder.name}/fork_server'
             with _socket() as listener:
-                listener.bind(os.environ[ADDRESS])
+                listener.bind(address)
                 listener.listen()
-                client.connect(os.environ[ADDRESS])
+                client.connect(address)
                 server = subprocess.Popen(
                     [sys.executable, __file__, str(listener.fileno())],
                     pass_fds=[listener.fileno()],
                     stdin=subprocess.DEVNULL,
                 )
+            os.environ[ADDRESS] = address
             atexit.register(self._stop, server, folder)
         self._socket = client
 

@@ -21,15 +21,17 @@ _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # Velocities contradict positions if the integral of the velocity differs from the change of
 # position. The permitted difference is a constant plus a fraction of the larger value plus an
 # allowance. Changes older than about a second are forgotten, so that noise does not add up. In
-# simulations without the allowance, the constant had to be at least 0.003 for a stop from rest,
-# and 0.015 for a stop from up to 2 rad/s. The simulations had a delay of 5 ms and a noise of 0.01
-# rad/s. A wrong sign was detected within 0.02 s at 2 rad/s, and within 0.12 s after a stop from
-# rest.
+# simulations with a delay of 5 ms and a noise of 0.01 rad/s, the constant had to be at least 0.003
+# for a stop from rest, and 0.015 for a stop from up to 2 rad/s, without the allowance. With the
+# allowance, a wrong sign was detected within 0.02 s at 2 rad/s, and within 0.12 s after a stop
+# from rest.
 _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
-# The allowance permits joint states that arrive together after a pause of the computer: the first
-# of them is old. The allowance is the time between two states multiplied by the smaller of their
-# speeds, so that a single wrong velocity does not increase it. In 216 simulated stops with pauses
-# of 10 to 90 ms, the damping ended too early in 4 stops with the allowance, and in 30 without it.
+# After a pause of the computer, joint states arrive together, and the first of them are old. The
+# allowance permits this. It is the time between two states, at most _LONGEST_PAUSE, multiplied by
+# the smaller of their speeds, so that a single wrong velocity does not increase it. The largest
+# product counts, and fades within about a second. A pause right before the stop counts too. In 216
+# simulated stops with pauses of 10 to 90 ms, the damping ended too early in 4 stops with the
+# allowance, and in 30 without it.
 _LONGEST_PAUSE = 0.1  # [s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 

@@ -140,7 +140,7 @@ class HandOver:
         if self._has_fault:
             return False, f'commands are ignored until they pause for {SILENCE} s'
         message = 'the robot follows the commands when their efforts are steady'
-        return True, f'{message}, at the latest in {LONGEST:g} s'
+        return True, f'{message}, at the latest after {LONGEST:g} s of commands'
 
     def command(self, command: Command, now: float) -> None:
         """Handle a complete and finite command that arrives at the time ``now`` [s]."""

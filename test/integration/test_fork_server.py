@@ -33,11 +33,13 @@ def test_the_server_outlives_a_client_that_ends():
     SERVER.start()
     client = ForkServer()
     process = client.run(['-c', 'import time; time.sleep(1000.0)'])
-    client._socket.close()
-    other = SERVER.run(['-c', 'import os; print(os.getppid())'], stdout=subprocess.PIPE)
-    parent = int(other.communicate(timeout=60.0)[0])
-    assert parent == int(Path(f'/proc/{process.pid}/stat').read_text().split()[3])
-    process.kill()
+    try:
+        client._socket.close()
+        other = SERVER.run(['-c', 'import os; print(os.getppid())'], stdout=subprocess.PIPE)
+        parent = int(other.communicate(timeout=60.0)[0])
+        assert parent == int(Path(f'/proc/{process.pid}/stat').read_text().split()[3])
+    finally:
+        process.kill()
     assert process.wait(60.0) == -signal.SIGKILL
 
 
