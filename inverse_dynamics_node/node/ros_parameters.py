@@ -22,7 +22,10 @@ from .parameters import (
 )
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
-_RENAMED = {'payload_transition_time': 'load_ramp'}
+_REMOVED = {
+    'payload_transition_time': 'a new payload is blended in over start_ramp',
+}
+"""Parameters of earlier versions, and what to do instead."""
 
 
 def declare_parameters(node: Node) -> Configuration:
@@ -99,8 +102,8 @@ def unknown_overrides(node: Node) -> list[str]:
 def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if not name:
         return 'a parameter without a name'
-    if name in _RENAMED:
-        return f"unknown parameter '{name}'; it is now called '{_RENAMED[name]}'"
+    if name in _REMOVED:
+        return f"parameter '{name}' was removed: {_REMOVED[name]}"
     head, _, tail = name.partition('.')
     if tail and head in (LOCKED, _QOS):
         return f"parameter '{shortened(name)}' can only be set when the process starts"

@@ -260,7 +260,8 @@ def test_every_bad_parameter_has_a_line_of_its_own(run_node):
         "unknown parameter 'effort_limit'; did you mean 'effort_limits'?",
         "unknown parameter 'locked_position.joint_6'; did you mean 'locked_positions.joint_6'?",
         "unknown parameter 'locked_positions'; did you mean 'locked_positions.<joint>'?",
-        "unknown parameter 'payload_transition_time'; it is now called 'load_ramp'",
+        "parameter 'payload_transition_time' was removed: a new payload is blended in over "
+        'start_ramp',
         "unknown parameter 'zebra'",
         'to ignore unknown parameters, for example in a file that several nodes share, set '
         'allow_unknown_parameters to true',
