@@ -2,9 +2,9 @@
 Mutation testing: change the code in one place at a time, and see whether a test fails.
 
 `make mutation` runs this, with names of mutants (patterns) as optional arguments. It copies the
-project to build/mutation, lets mutmut make and test the mutants there, and compares the survivors
-with the equivalent mutants listed in test/mutation.md. The modules and tests are listed in
-pyproject.toml, [tool.mutmut].
+project to build/mutation, lets mutmut make and test the mutants there, prints those that no test
+detects, and fails if they are too many. Some mutants change nothing that a user could notice. The
+modules and tests are listed in pyproject.toml, [tool.mutmut].
 """
 
 from itertools import accumulate
@@ -18,9 +18,8 @@ import sys
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / 'build' / 'mutation'
-LIST = ROOT / 'test' / 'mutation.md'
 COPIED = ('inverse_dynamics_node', 'test', 'config', 'pyproject.toml')
-LEAST_SCORE = 95.0  # [%] of the mutants that are not listed
+LEAST_SCORE = 91.0  # [%] of all mutants; 94 % were detected when the limit was chosen
 TEST_TIME = 5.0  # [s] of tests for each mutant, the quick ones first: slower ones rarely find more
 SURVIVED, NO_TESTS = 0, 33  # codes of mutmut; others are a failed test or a time-out
 
@@ -106,27 +105,13 @@ def function_of(mutant):
     return f'{module.rpartition(".")[2]}.{name}'
 
 
-def listed():
-    """Return the equivalent mutants of the document, in the form of the survivors."""
-    blocks = re.findall(r'^```diff\n(.*?)^```', LIST.read_text(), flags=re.MULTILINE | re.DOTALL)
-    found = re.findall(r'^@@ .*(?:\n[+-].*)*', '\n'.join(blocks), flags=re.MULTILINE)
-    return {entry.rstrip() for entry in found}
-
-
-def report(arguments):
+def report():
     number, survivors = results()
-    equivalent = listed()
-    others = [entry for entry in survivors if entry not in equivalent]
-    print('\n'.join(others))
-    if not arguments:
-        for entry in sorted(equivalent - set(survivors)):
-            print(f'Listed in {LIST.name}, but not found among the survivors:\n{entry}')
-    killed, to_kill = number - len(survivors), number - len(survivors) + len(others)
-    score = 100.0 * killed / max(to_kill, 1)
+    print('\n'.join(survivors))
+    score = 100.0 * (number - len(survivors)) / max(number, 1)
     print(
-        f'{number} mutants: {killed} ({100.0 * killed / max(number, 1):.1f} %) made a test fail, '
-        f'{len(survivors) - len(others)} survived and are listed in {LIST.name}, {len(others)} '
-        f'survived and are not. Score {score:.1f} %, expected at least {LEAST_SCORE:g} %'
+        f'{number} mutants, {len(survivors)} of them survived. Score {score:.1f} %, '
+        f'expected at least {LEAST_SCORE:g} %'
     )
     return score >= LEAST_SCORE
 
@@ -134,7 +119,7 @@ def report(arguments):
 def main(arguments):
     if Path.cwd() == WORK:
         run_mutmut(arguments)
-        return 0 if report(arguments) else 1
+        return 0 if report() else 1
     copy_project()
     # Compiled code takes no notice of mutants, and takes time to make.
     environment = {**os.environ, 'NUMBA_DISABLE_JIT': '1'}

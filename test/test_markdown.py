@@ -9,7 +9,6 @@ from robot_files import ROOT
 
 WIDTH = 100
 PAGES = [*sorted(ROOT.glob('*.md')), *sorted((ROOT / 'doc').rglob('*.md'))]
-PAGES.append(ROOT / 'test' / 'mutation.md')
 NOTATION = (ROOT / 'doc' / 'notation.md').read_text()
 TEMPLATES = sorted((ROOT / 'benchmarks').glob('*.md'))
 
