@@ -202,14 +202,10 @@ class ModelStatus(Part):
 
 @dataclass(frozen=True)
 class SchedulingStatus(Part):
-    """Priority and memory of the process."""
+    """Priority of the control loop."""
 
-    memory: str = key('memory', default='')
     policy: str | None = key('policy')
     priority: int | None = key('priority')
-    cpus: tuple[int, ...] | None = key('CPUs')
-    threads: int | None = key('threads')
-    """Number of threads with this priority."""
 
 
 class Problem(NamedTuple):

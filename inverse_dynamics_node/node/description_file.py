@@ -29,9 +29,8 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     `description` is the URDF from the topic. A URDF from a parameter or a file has
     precedence. Raise an InverseDynamicsError if there is no usable description.
     """
-    missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
-        return load_file(configuration.robot_description_file, missing)
+        return load_file(configuration.robot_description_file)
     text = configuration.robot_description or description
     if not text:
         raise ConfigurationError(
@@ -45,10 +44,10 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
         raise ConfigurationError(
             f"{where} is '{shortened(text)}', expected the URDF as XML text{hint}"
         )
-    return load_urdf(text, missing), text
+    return load_urdf(text), text
 
 
-def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
+def load_file(given: str) -> tuple[RobotModel, str]:
     """
     Load the file named by robot_description_file; return the robot and the URDF text.
 
@@ -61,8 +60,8 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
     try:
         path = _resolve(file)
         if arguments is None or not path.exists():
-            return load_urdf(path, on_missing_inertial), _text_of(path)
-        return _load_xacro(path, arguments, on_missing_inertial)
+            return load_urdf(path), _text_of(path)
+        return _load_xacro(path, arguments)
     except ConfigurationError as error:
         raise ConfigurationError(f"robot_description_file '{given}': {error}") from None
     except UrdfError as error:
@@ -86,9 +85,7 @@ def _split(given: str) -> tuple[str, dict[str, str] | None]:
     return match['file'], {name: value for name, _, value in pairs}
 
 
-def _load_xacro(
-    path: Path, arguments: dict[str, str], on_missing_inertial: str
-) -> tuple[RobotModel, str]:
+def _load_xacro(path: Path, arguments: dict[str, str]) -> tuple[RobotModel, str]:
     try:
         import xacro
     except ModuleNotFoundError as error:
@@ -100,7 +97,7 @@ def _load_xacro(
     except Exception as error:  # of any type: xacro evaluates Python expressions
         raise ConfigurationError(f'xacro failed: {str(error) or repr(error)}') from None
     try:
-        return load_urdf(text, on_missing_inertial), text
+        return load_urdf(text), text
     except UrdfError as error:
         # The line numbers in the problems refer to the output of xacro.
         raise UrdfError(error.problems, f'output of xacro for {path}') from None

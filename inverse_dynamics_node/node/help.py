@@ -87,12 +87,10 @@ GROUPS = {
         'uncommanded_state_timeout',
         'on_stale_state',
         'reference_timeout',
-        'on_missing_inertial',
     ),
     'robot and driver': (
         'robot_description',
         'robot_description_file',
-        'allow_description_file_changes',
         'joints',
         _LOCKED_JOINT,
         'base_link',
@@ -130,10 +128,7 @@ GROUPS = {
     'process': (
         'update_rate',
         'autostart',
-        'executor',
         'thread_priority',
-        'lock_memory',
-        'cpu_affinity',
         'allow_unknown_parameters',
     ),
 }

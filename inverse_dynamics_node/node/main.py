@@ -142,6 +142,7 @@ def _start(args: list[str], stop: _Stop) -> int:
 
 
 def _run(args: list[str], stop: _Stop) -> int:
+    from rclpy.experimental.events_executor import EventsExecutor
     import rclpy.logging
 
     from ..ros.middleware import security_hints
@@ -165,15 +166,15 @@ def _run(args: list[str], stop: _Stop) -> int:
     names = NodeNames(args)
     for problem in [*names.ineffective_files(), *names.ineffective_remaps(names_of(node))]:
         node.get_logger().warning(problem)
-    executor = _make_executor(node.configuration.executor)
+    executor = EventsExecutor()
     executor.add_node(node)
     watchdog = Watchdog()
     try:
-        logger, values = node.get_logger(), node.configuration
-        is_well, text = scheduling.apply(
-            values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog.native_id
+        logger = node.get_logger()
+        is_permitted, text = scheduling.apply(
+            node.configuration.thread_priority, watchdog.native_id
         )
-        if is_well:
+        if is_permitted:
             logger.info(text)
         else:
             logger.warning(text)
@@ -183,9 +184,6 @@ def _run(args: list[str], stop: _Stop) -> int:
             watchdog.spin(executor)
             if watchdog.is_congested:
                 node.catch_up()
-            change = scheduling.limit_time()
-            if change:
-                logger.warning(change)
     finally:
         node.shut_down()
         watchdog.close()
@@ -193,18 +191,6 @@ def _run(args: list[str], stop: _Stop) -> int:
         executor.shutdown()
         node.destroy_node()
     return 0
-
-
-def _make_executor(kind: Any) -> Any:
-    from rclpy.executors import SingleThreadedExecutor
-
-    if kind.value == 'single_threaded':
-        return SingleThreadedExecutor()
-    try:
-        from rclpy.experimental.events_executor import EventsExecutor
-    except ImportError:  # rclpy before 7.1.4
-        return SingleThreadedExecutor()
-    return EventsExecutor()
 
 
 def _fail(message: str, code: int = 1) -> int:

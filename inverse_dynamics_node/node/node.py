@@ -23,7 +23,7 @@ from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
-from .parameters import Configuration, FileChanges, PARAMETERS
+from .parameters import Configuration, PARAMETERS
 from .remaps import NODE_NAME
 from .ros_parameters import (
     changed_configuration,
@@ -76,7 +76,6 @@ class InverseDynamicsNode(LifecycleNode):
             self.get_logger().warning(f'ignored {problem}')
         self._leaves_at = math.inf  # [s]
         self._may_autostart = configuration.autostart
-        self._was_active = False
         self._description = ''  # the latest text from the topic
         self._reason_to_stop = 'deactivated'
         self._uses_sim_time = self.get_parameter('use_sim_time').value
@@ -200,7 +199,6 @@ class InverseDynamicsNode(LifecycleNode):
             where = self._outputs.describe_dry_run(to)
         self.get_logger().info(f'efforts for {joints} {where}')
         self._may_autostart = False
-        self._was_active = True
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -293,8 +291,6 @@ class InverseDynamicsNode(LifecycleNode):
         if not changed:
             return
         after = changed_configuration(before, changed)
-        if after.robot_description_file != before.robot_description_file:
-            self._check_file_change(after)
         if self._runner.loop is not None:
             for name in changed:
                 field = name.partition('.')[0]
@@ -306,20 +302,6 @@ class InverseDynamicsNode(LifecycleNode):
                     )
             check_configuration(self._runner.loop, after)
         self._next = after
-
-    def _check_file_change(self, configuration: Configuration) -> None:
-        """Raise a ConfigurationError if robot_description_file must not change now."""
-        allowed = configuration.allow_description_file_changes
-        if allowed is FileChanges.NEVER:
-            reason = 'cannot be set while the process runs'
-        elif allowed is FileChanges.BEFORE_ACTIVATION and self._was_active:
-            reason = 'cannot be set after the first activation'
-        else:
-            return
-        raise ConfigurationError(
-            f"parameter 'robot_description_file' {reason}, because "
-            f'allow_description_file_changes is {allowed.value}'
-        )
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
         if self._next is self.configuration:

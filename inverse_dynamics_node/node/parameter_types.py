@@ -14,7 +14,6 @@ from typing import Any
 
 from ..control.settings import PerJoint
 from ..errors import ConfigurationError, plain
-from .scheduling import available_cpus
 
 UNBOUNDED = 1e9
 """Largest permitted magnitude of a number, unless its parameter declares another limit."""
@@ -43,7 +42,7 @@ def _only(kind: type) -> Callable[[Any], Any]:
     return convert
 
 
-_text, _integer = _only(str), _only(int)
+_text = _only(str)
 
 
 def _number(value: Any) -> float:
@@ -51,22 +50,6 @@ def _number(value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise TypeError
     return float(value)
-
-
-def _cpus(value: Any) -> tuple[int, ...]:
-    """Return the given CPU numbers; -1 becomes (), which means all CPUs."""
-    if isinstance(value, str):
-        raise TypeError
-    if value == -1:
-        return ()
-    cpus = tuple(map(_integer, [value] if isinstance(value, int) else value))
-    unknown = sorted(set(cpus) - available_cpus())
-    if unknown:
-        raise ConfigurationError(
-            f'contains {unknown[0]}, expected CPUs that this process may use: '
-            f'{", ".join(map(str, sorted(available_cpus())))}'
-        )
-    return cpus
 
 
 def _vector(value: Any) -> tuple[float, ...]:
@@ -91,7 +74,7 @@ def _names(value: Any) -> tuple[str, ...]:
 
 
 NUMBER = Kind('a finite number', _number, is_numeric=True)
-INTEGER = Kind('an integer', _integer, is_numeric=True)
+INTEGER = Kind('an integer', _only(int), is_numeric=True)
 _NUMBERS = Kind(
     'a finite number, or a list with one number for each commanded joint',
     _numbers,
@@ -102,7 +85,6 @@ _KINDS = {
     bool: Kind('true or false', _only(bool)),
     float: NUMBER,
     int: INTEGER,
-    tuple[int, ...]: Kind('-1, a CPU number or a list of CPU numbers', _cpus),
     tuple[float, float, float]: Kind(
         'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
     ),

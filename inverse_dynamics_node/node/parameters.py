@@ -24,7 +24,6 @@ from ..control.settings import (
 )
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
-from .scheduling import has_realtime_kernel
 
 VALUE_OF_URDF = -1.0
 """Value of `damping` or `coulomb` that stands for the value in the robot description."""
@@ -36,28 +35,6 @@ class BaseMotion(Enum):
     FIXED = 'fixed'
     IMU = 'imu'
     """An inertial measurement unit measures the motion of the base."""
-
-
-class MissingInertial(Enum):
-    """How to treat links that have a shape, but no mass."""
-
-    WARN = 'warn'
-    REFUSE = 'refuse'
-
-
-class FileChanges(Enum):
-    """When the parameter `robot_description_file` may be set while the process runs."""
-
-    NEVER = 'never'
-    BEFORE_ACTIVATION = 'before_activation'
-    ALWAYS = 'always'
-
-
-class Executor(Enum):
-    """The executor that spins the node."""
-
-    EVENTS = 'events'
-    SINGLE_THREADED = 'single_threaded'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +51,11 @@ class Configuration(Settings, LoadSettings):
     robot_description_file: str = parameter(
         '',
         'URDF or xacro file: a path, `package://PACKAGE/PATH` or `file:///PATH`',
-        'The name of a xacro file must end in `.xacro`; arguments `name:=value` may follow',
+        'The name of a xacro file must end in `.xacro`; arguments `name:=value` may follow. The '
+        'parameter cannot be changed at run time, because the file may contain code that xacro '
+        'evaluates, and a message on the topic is never taken as a file name',
         is_live=False,
+        is_read_only=True,
     )
     joints: tuple[str, ...] = parameter(
         [''],
@@ -88,11 +68,6 @@ class Configuration(Settings, LoadSettings):
         '',
         'Link in whose frame gravity, `imu` and `~/base_wrench` are expressed. Empty: root link',
         'No movable joint may lie between this link and the root link',
-        is_live=False,
-    )
-    on_missing_inertial: MissingInertial = parameter(
-        MissingInertial.WARN.value,
-        'Whether links that have a shape but no `<inertial>` cause a warning or an error',
         is_live=False,
     )
     update_rate: float = parameter(
@@ -110,6 +85,29 @@ class Configuration(Settings, LoadSettings):
         '0.5 s, and then nothing is sent. When a dry run ends, the commands rise within '
         '`start_ramp`',
         default_note='false; true in the launch file',
+    )
+    autostart: bool = parameter(
+        True,
+        'Configure and activate once, as soon as there is a robot description',
+        is_live=False,
+        is_read_only=True,
+    )
+    thread_priority: int = parameter(
+        50,
+        '`SCHED_FIFO` priority of the control loop and the middleware',
+        'Without permission, the threads keep normal priority, and a warning is logged',
+        minimum=1,
+        maximum=99,
+        is_live=False,
+        is_read_only=True,
+    )
+    allow_unknown_parameters: bool = parameter(
+        False,
+        'Ignore unknown parameters, for example in a file that several nodes share',
+        'By default, the node does not start with unknown parameters, because a limit with a '
+        'mistyped name would have no effect',
+        is_live=False,
+        is_read_only=True,
     )
     gravity: tuple[float, float, float] = parameter(
         list(STANDARD_GRAVITY),
@@ -226,58 +224,6 @@ class Configuration(Settings, LoadSettings):
         'Joint position at which the spring of `spring_stiffness` exerts no effort',
         unit='rad, m',
     )
-    autostart: bool = parameter(
-        True,
-        'Configure and activate once, as soon as there is a robot description',
-        is_live=False,
-        is_read_only=True,
-    )
-    executor: Executor = parameter(
-        Executor.EVENTS.value,
-        'The executor of rclpy. `single_threaded` is slower',
-        is_live=False,
-        is_read_only=True,
-    )
-    thread_priority: int = parameter(
-        50,
-        '`SCHED_FIFO` priority of the control loop and the middleware',
-        'Without permission, the threads keep normal priority, and a warning is logged',
-        minimum=1,
-        maximum=99,
-        is_live=False,
-        is_read_only=True,
-    )
-    lock_memory: bool = parameter(
-        has_realtime_kernel(),
-        'Lock the memory of the process, so that it is never swapped out',
-        is_live=False,
-        is_read_only=True,
-        default_note='true with a real-time kernel, otherwise false',
-    )
-    cpu_affinity: tuple[int, ...] = parameter(
-        -1,
-        'CPU, or list of CPUs, on which the control loop and the middleware run. -1: all',
-        is_live=False,
-        is_read_only=True,
-    )
-    allow_description_file_changes: FileChanges = parameter(
-        FileChanges.BEFORE_ACTIVATION.value,
-        'Until when `robot_description_file` may be set at run time',
-        'The value of `robot_description_file` names a file that this process opens, and may '
-        'contain code that xacro evaluates. `before_activation`: until the node is activated for '
-        'the first time. `never`: only on the command line or in a parameter file. A message on '
-        'the topic is never taken as a file name',
-        is_live=False,
-        is_read_only=True,
-    )
-    allow_unknown_parameters: bool = parameter(
-        False,
-        'Ignore unknown parameters, for example in a file that several nodes share',
-        'By default, the node does not start with unknown parameters, because a limit with a '
-        'mistyped name would have no effect',
-        is_live=False,
-        is_read_only=True,
-    )
     locked_positions: dict[str, float] = field(default_factory=dict)
     """Positions [rad or m] of uncommanded joints by name, used until joint states arrive."""
 
@@ -303,11 +249,8 @@ _HINTS = get_type_hints(Configuration)
 _OF_CORE = {each.name for settings in (Settings, LoadSettings) for each in fields(settings)}
 PARAMETERS = {
     each.name: Parameter(kind_of(_HINTS[each.name]), **each.metadata)
-    # Robot parameters come first, then settings of the control loop, then process parameters.
-    for each in sorted(
-        fields(Configuration),
-        key=lambda each: (each.metadata.get('is_read_only', False), each.name in _OF_CORE),
-    )
+    # Parameters of the robot and the process come first, then those of the control loop.
+    for each in sorted(fields(Configuration), key=lambda each: each.name in _OF_CORE)
     if each.metadata
 }
 """All parameters by name, except ``locked_positions.<joint>``."""

@@ -23,6 +23,11 @@ from .parameters import (
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
 _REMOVED = {
+    'allow_description_file_changes': 'robot_description_file is only read at the start',
+    'cpu_affinity': 'start the node with a launch prefix, such as taskset --cpu-list 2',
+    'executor': 'the node always uses the EventsExecutor',
+    'lock_memory': 'on a robot, switch swap off (swapoff -a)',
+    'on_missing_inertial': 'the node always warns',
     'payload_transition_time': 'a new payload is blended in over start_ramp',
 }
 """Parameters of earlier versions, and what to do instead."""

@@ -37,7 +37,7 @@ def workspace(tmp_path, monkeypatch):
     ],
 )
 def test_every_form_finds_the_file(workspace, given):
-    robot, description = load_file(given.format(here=workspace), 'warn')
+    robot, description = load_file(given.format(here=workspace))
     assert robot.name == 'stanford'
     assert load_urdf(description).joint_names == robot.joint_names
 
@@ -71,7 +71,7 @@ def test_every_form_finds_the_file(workspace, given):
 )
 def test_a_file_that_is_not_there_is_named_in_full(workspace, given, message):
     with pytest.raises(ConfigurationError) as caught:
-        load_file(given, 'warn')
+        load_file(given)
     assert message.format(here=workspace) in str(caught.value)
 
 
@@ -104,7 +104,7 @@ def test_xacro_files_are_processed_with_their_arguments(workspace, given, tip, m
     pytest.importorskip('xacro')
     (workspace / 'my arm.urdf.xacro').write_text(XACRO)
     (workspace / 'install/share/my_robot/urdf/arm.xacro').write_text(XACRO)
-    robot, description = load_file(given.format(here=workspace), 'warn')
+    robot, description = load_file(given.format(here=workspace))
     assert load_urdf(description).name == robot.name
     assert robot.link_names[-1] == tip
     assert robot.mass.sum() == mass
@@ -114,27 +114,27 @@ def test_problems_of_xacro_files_name_the_file(workspace):
     pytest.importorskip('xacro')
     (workspace / 'arm.xacro').write_text(XACRO.replace('2 *', '2 * nope *'))
     with pytest.raises(ConfigurationError, match=r"'arm.xacro': xacro failed: .*nope"):
-        load_file('arm.xacro', 'warn')
+        load_file('arm.xacro')
     (workspace / 'arm.xacro').write_text(XACRO)
     with pytest.raises(UrdfError, match=f'output of xacro for {workspace}/arm.xacro: .*mass'):
-        load_file('arm.xacro mass:=-1', 'warn')
+        load_file('arm.xacro mass:=-1')
     with pytest.raises(ConfigurationError, match=f'no such file: {workspace}/your.xacro'):
-        load_file('your.xacro mass:=1', 'warn')
+        load_file('your.xacro mass:=1')
     with pytest.raises(ConfigurationError, match='arguments for xacro have the form NAME:=VALUE'):
-        load_file('arm.xacro mass=1', 'warn')
+        load_file('arm.xacro mass=1')
 
 
 def test_without_xacro_the_message_says_how_to_install_it(workspace, monkeypatch):
     (workspace / 'arm.xacro').write_text(XACRO)
     monkeypatch.setitem(sys.modules, 'xacro', None)
     with pytest.raises(ConfigurationError, match='apt install ros-jazzy-xacro'):
-        load_file('arm.xacro', 'warn')
+        load_file('arm.xacro')
 
 
 def test_package_without_a_workspace(workspace, monkeypatch):
     monkeypatch.delenv('AMENT_PREFIX_PATH')
     with pytest.raises(ConfigurationError, match='AMENT_PREFIX_PATH is empty: source the setup'):
-        load_file('package://my_robot/urdf/arm.urdf', 'warn')
+        load_file('package://my_robot/urdf/arm.urdf')
 
 
 def test_the_node_starts_with_a_package_uri(workspace, run_node, robot):

@@ -552,15 +552,3 @@ def test_services_are_those_of_the_documentation(run_node, robot):
         return {(name, types[0]) for name, types in pairs if types[0].startswith('std_srvs')}
 
     robot.wait_until(lambda: services() == expected, 'services')
-
-
-def test_a_shape_without_mass_can_be_refused(run_node, tmp_path):
-    text = STANFORD.read_text()
-    start = text.index('<inertial>', text.index('link name="link_3"'))
-    end = text.index('</inertial>', start) + len('</inertial>')
-    path = tmp_path / 'hollow.urdf'
-    path.write_text(f'{text[:start]}<visual/>{text[end:]}')
-    settings = {**PATIENT, 'robot_description_file': path}
-    node = run_node(**settings, on_missing_inertial='refuse')
-    assert node.wait() == 1
-    assert "link 'link_3': has a shape but no <inertial>" in node.output

@@ -7,6 +7,7 @@ import time
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.parameters import PARAMETERS
+from inverse_dynamics_node.node.ros_parameters import _REMOVED
 import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
@@ -384,11 +385,18 @@ def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robo
         robot.wait_for_command(HOLD)
 
 
+def test_removed_parameters_are_refused_with_what_to_do_instead(run_node):
+    node = run_node(**dict.fromkeys(_REMOVED, 1.0))
+    assert node.wait() == 1
+    for name, instead in _REMOVED.items():
+        assert f"parameter '{name}' was removed: {instead}" in node.output
+
+
 def test_parameters_that_are_read_at_the_start_cannot_change(run_node, robot):
     run_node()
     for name, value in (
         ('autostart', False),
-        ('executor', 'single_threaded'),
+        ('robot_description_file', 'another.urdf'),
         ('allow_unknown_parameters', True),
     ):
         result = robot.set_parameter(name, value)

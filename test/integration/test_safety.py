@@ -443,16 +443,6 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     assert (way <= 0.5 + 10.0 * (np.array(robot.command_times[count:]) - since)).all()
 
 
-@pytest.mark.parametrize('executor', ['events', 'single_threaded'])
-def test_both_executors_work(run_node, robot, executor):
-    node = run_node(**PATIENT, executor=executor)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    node.interrupt()
-    assert robot.wait_for_end(node) == 0
-    robot.wait_for_command(ZERO, tolerance=0.0)
-
-
 WITHOUT_FILE = {k: v for k, v in PATIENT.items() if k != 'robot_description_file'}
 
 

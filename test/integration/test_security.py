@@ -16,7 +16,6 @@ from node_process import PATIENCE
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from robot_files import STANFORD
 
 CONFIGURATIONS = {
@@ -100,32 +99,6 @@ def test_the_configurations_differ(start):
     assert {'/left/controller/commands', '/left/diagnostics'} < set(names[1].publish)
     assert '/left/enable' in names[1].reply
     assert set(names[2].subscribe) - set(names[0].subscribe) == {'/clock'}
-
-
-@pytest.mark.parametrize(
-    ('changes', 'refused_before', 'refused_after'),
-    [('never', True, True), ('before_activation', False, True), ('always', False, False)],
-)
-def test_the_file_of_the_robot_is_set_only_while_that_is_allowed(
-    start, changes, refused_before, refused_after, tmp_path
-):
-    given = ['-p', f'allow_description_file_changes:={changes}', '-p', 'autostart:=false']
-    node = start(['--ros-args', *given, '-p', f'robot_description_file:={STANFORD}'])
-
-    def is_refused(path):
-        (result,) = node.set_parameters([Parameter('robot_description_file', value=str(path))])
-        assert result.successful or f'allow_description_file_changes is {changes}' in result.reason
-        return not result.successful
-
-    others = [tmp_path / 'other.urdf', tmp_path / 'another.urdf']
-    others[0].write_text(STANFORD.read_text())
-    assert is_refused(others[0]) is refused_before
-    assert not is_refused(node.configuration.robot_description_file)  # as it is
-    node.trigger_configure()
-    node.trigger_activate()
-    node.trigger_deactivate()
-    node.trigger_cleanup()
-    assert is_refused(others[1]) is refused_after
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from inverse_dynamics_node.node.parameters import (
     PARAMETERS,
 )
 from inverse_dynamics_node.node.policy import enclaves, policy
+from inverse_dynamics_node.node.ros_parameters import _REMOVED
 from lxml import etree
 import pytest
 from robot_files import ROOT
@@ -71,3 +72,9 @@ def test_the_unit_follows_the_first_sentence():
     description = PARAMETERS['effort_limits'].description
     assert description.startswith('Effort limits in addition to those of the URDF [N m, N]. 0:')
     assert re.search(r'reports it \[rad, m\]\. ', LOCKED_POSITION.description)
+
+
+@pytest.mark.parametrize('name', _REMOVED)
+def test_the_changelog_names_each_removed_parameter(name):
+    assert name not in PARAMETERS
+    assert f'``{name}``' in (ROOT / 'CHANGELOG.rst').read_text().partition('Robot descr')[0]

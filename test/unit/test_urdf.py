@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 import time
 
-from inverse_dynamics_node.errors import ConfigurationError, UrdfError
+from inverse_dynamics_node.errors import UrdfError
 from inverse_dynamics_node.robot.urdf import load_urdf
 from inverse_dynamics_node.robot.urdf import xml as urdf_xml
 import numpy as np
@@ -898,13 +898,8 @@ SHAPED = """
 </robot>"""
 
 
-def test_link_with_a_shape_but_no_mass_is_a_warning_or_an_error():
+def test_a_link_with_a_shape_but_no_mass_is_a_warning():
     words = "line 6: link 'finger': has a shape but no <inertial>; it is treated as massless"
     (warning,) = load_urdf(SHAPED).warnings
     assert str(warning) == words
     assert (warning.line, warning.subject) == (6, "link 'finger'")
-    with pytest.raises(UrdfError) as caught:
-        load_urdf(SHAPED, on_missing_inertial='refuse')
-    assert caught.value.problems == (words.partition(';')[0],)
-    with pytest.raises(ConfigurationError, match="'maybe', expected warn or refuse"):
-        load_urdf(SHAPED, on_missing_inertial='maybe')

@@ -26,13 +26,8 @@ from .schema import (
 from .xml import children, Element, is_xacro, MAX_LINKS, tag
 
 
-def check(root: Element, needs_inertials: bool = False) -> Problems:
-    """
-    Check a <robot> element and everything in it that the dynamics need.
-
-    If ``needs_inertials`` is true, a link with a shape but without an inertial is an error.
-
-    """
+def check(root: Element) -> Problems:
+    """Check a <robot> element and everything in it that the dynamics need."""
     problems = Problems()
     _check_size(root, problems)
     if problems.errors:
@@ -55,7 +50,7 @@ def check(root: Element, needs_inertials: bool = False) -> Problems:
             warn_if_misspelt(element, 'robot', CHILDREN['robot'], problems)
     check_mimic_loops(joints, problems)
     check_tree(root, links, problems)
-    check_missing_inertials(links, joints, problems, needs_inertials)
+    check_missing_inertials(links, joints, problems)
     warn_of_placeholders(links, problems)
     return problems
 
@@ -195,29 +190,22 @@ def _only_child(element: Element, kind: str) -> Element | None:
 
 
 def check_missing_inertials(
-    links: Mapping[str, Element],
-    joints: Mapping[str, Element],
-    problems: Problems,
-    are_required: bool,
+    links: Mapping[str, Element], joints: Mapping[str, Element], problems: Problems
 ) -> None:
     """
-    Report links that have a shape but no inertial: errors if ``are_required``, else warnings.
+    Warn of links that have a shape but no inertial.
 
     Links without a shape are assumed to be mere frames. The root link is not checked, because it
     may be the ground.
 
     """
     held = {end.get('link') for joint in joints.values() for end in children(joint, 'child')}
-    text = 'has a shape but no <inertial>'
+    text = 'has a shape but no <inertial>; it is treated as massless'
     hint = 'add an <inertial> from CAD; without it, the weight of this link is not compensated'
     for name, link in links.items():
         parts = {tag(part) for part in link}
-        if name not in held or 'inertial' in parts or not parts & {'visual', 'collision'}:
-            continue
-        if are_required:
-            problems.error(link, f'{label(link)}: {text}')
-        else:
-            problems.warning(link, label(link), f'{text}; it is treated as massless', hint)
+        if name in held and 'inertial' not in parts and parts & {'visual', 'collision'}:
+            problems.warning(link, label(link), text, hint)
 
 
 _FEWEST_ALIKE = 3

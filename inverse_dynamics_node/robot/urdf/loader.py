@@ -15,7 +15,7 @@ from typing import Any
 from lxml import etree
 import numpy as np
 
-from ...errors import ConfigurationError, UrdfError
+from ...errors import UrdfError
 from ..kinematics import rpy_of_quaternion
 from ..model import RobotModel
 from ..rigid_body import RigidBody
@@ -25,9 +25,7 @@ from .schema import CHILDREN, CHILDREN_OF_FIXED, READ_ONCE, RULES
 from .xml import Element, parse, read_source, tag
 
 
-def load_urdf(
-    path_or_xml: str | os.PathLike[str], on_missing_inertial: str = 'warn'
-) -> RobotModel:
+def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
     """
     Load a robot from a URDF file or from URDF text.
 
@@ -39,9 +37,6 @@ def load_urdf(
     path_or_xml : str or path-like
         A path, or XML text. XML text starts with ``<``, after optional white space or a byte
         order mark.
-    on_missing_inertial : {'warn', 'refuse'}
-        Whether a link with a shape but without ``<inertial>`` causes a warning or an error. The
-        root link causes neither.
 
     Returns
     -------
@@ -56,8 +51,6 @@ def load_urdf(
         Revolute and prismatic joints need a ``<limit>``. A ``<limit>`` must contain effort and
         velocity. A robot without joints is an error. The message lists all errors with their
         lines.
-    ConfigurationError
-        If ``on_missing_inertial`` is neither 'warn' nor 'refuse'.
 
     Notes
     -----
@@ -66,13 +59,9 @@ def load_urdf(
     the format are supported. The attribute ``quat_xyzw`` needs version 1.1 or later.
 
     """
-    if on_missing_inertial not in ('warn', 'refuse'):
-        raise ConfigurationError(
-            f'on_missing_inertial is {on_missing_inertial!r}, expected warn or refuse'
-        )
     source = read_source(path_or_xml)
     root, warnings = parse(source)
-    problems = check(root, needs_inertials=on_missing_inertial == 'refuse')
+    problems = check(root)
     if problems.errors:
         raise UrdfError(problems.errors, source.name)
     links, joints = _values(_stripped(root))
