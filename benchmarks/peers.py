@@ -13,7 +13,7 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
+from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
@@ -50,36 +50,6 @@ def ours_new_array(robot: Robot, states: Floats) -> Contender:
             efforts(q, qd, qdd)
 
     return contender('ours, new array', rows(*states), sweep, efforts)
-
-
-def ours_written_out(robot: Robot, states: Floats) -> Contender:
-    """Time this package's generated code with the caller's arrays."""
-    efforts = GeneratedDynamics(InverseDynamics(robot.model)).efforts
-    out = np.empty(robot.n)
-
-    def sweep(states: States) -> None:
-        for q, qd, qdd in states:
-            efforts(q, qd, qdd, out=out)
-
-    name = 'ours, written out, out='
-    return contender(name, rows(*states), sweep, lambda *state: efforts(*state).copy())
-
-
-def ours_in_place(robot: Robot, states: Floats) -> Contender:
-    """Time this package's generated code with its own state arrays."""
-    loop = GeneratedDynamics(InverseDynamics(robot.model))
-    update = loop.update
-
-    def sweep(states: States) -> None:
-        for _ in states:
-            update()
-
-    def efforts(*state: Floats) -> Floats:
-        for array, values in zip(loop.state, state, strict=False):
-            array[:] = values
-        return update().copy()
-
-    return contender('ours, written out, in place', rows(*states), sweep, efforts)
 
 
 class Pinocchio:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from time import thread_time
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
+from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.dynamics.batch import LANES
 from inverse_dynamics_node.dynamics.effort_terms import EffortTerms, JointWrenches
 from inverse_dynamics_node.robot.model import Floats
@@ -26,7 +26,6 @@ from .timing import Contender, contender, States
 MOST_STATES = 512  # largest number of states in a batch
 MOST_NUMBERS = 1 << 20  # largest number of values in the results of a batch: 8 MB
 
-MOST_GENERATED = 40  # joints; with these, the generated mass matrix compiles for a few seconds
 OURS, THEIRS = 'ours', 'pin'
 
 Call = Callable[..., Any]
@@ -53,22 +52,17 @@ class Quantity(NamedTuple):
     arity: int
     """Number of arguments: 1 for q; 2 for q and qd; 3 for q, qd and qdd."""
     counterpart: Callable[[Pinocchio], Counterpart]
-    is_generated: bool = False
-    """Whether the same method of `GeneratedDynamics` is timed, too."""
 
     @property
     def name(self) -> str:
         """Label of the row in the table."""
-        return f'`{self.method}`' + (', written out' if self.is_generated else '')
+        return f'`{self.method}`'
 
 
 def one_call(quantity: Quantity, robot: Robot) -> list[Contender]:
     """Time one call of this package and of Pinocchio."""
     states = random_states(robot.n)[: quantity.arity]
-    dynamics: Any = InverseDynamics(robot.model)
-    if quantity.is_generated:
-        dynamics = GeneratedDynamics(dynamics)
-    method = getattr(dynamics, quantity.method)
+    method = getattr(InverseDynamics(robot.model), quantity.method)
     out = np.empty_like(in_one_array(method(*states[:, 0])))
     peer = Pinocchio(robot)
     found = quantity.counterpart(peer)
@@ -269,11 +263,10 @@ QUANTITIES = (
     Quantity('gravity_efforts', '`computeGeneralizedGravity`', 1, _gravity),
     Quantity('coriolis_efforts', '`nonLinearEffects`, no gravity', 2, _coriolis),
     Quantity('mass_matrix', '`crba`', 1, _mass_matrix),
-    Quantity('mass_matrix', '`crba`', 1, _mass_matrix, is_generated=True),
     Quantity('effort_terms', 'three calls', 3, _terms),
     Quantity('joint_wrenches', '`rnea`', 3, _wrenches),
     Quantity('joint_wrenches', '`rnea`, `data.f` copied', 3, _wrenches_in_an_array),
     Quantity('regressor', '`computeJointTorqueRegressor`', 3, _regressor),
 )
-# There is no generated code for batches, and batches always store the wrenches.
-BATCHED = tuple(x for x in QUANTITIES if not x.is_generated and x.label != '`rnea`')
+# Batches always store the wrenches.
+BATCHED = tuple(x for x in QUANTITIES if x.label != '`rnea`')

@@ -121,7 +121,6 @@ def pair_times(found: Pairs) -> str:
     rows = {
         quantity.label: [_time(robot[quantities.THEIRS], 1) for robot in row.values()]
         for quantity, row in found.items()
-        if not quantity.is_generated  # another row has the same counterpart
     }
     return grid(['', *next(iter(found.values()))], [[name, *row] for name, row in rows.items()])
 

@@ -27,7 +27,7 @@ START = 'Python itself, start and end'
 TOTAL = 'total'
 
 
-def run(cache: str, **environment: str) -> dict[str, float]:
+def run(cache: str) -> dict[str, float]:
     """Run the steps once; return the time of each step [s]."""
     lines = ['import json', 'from time import perf_counter', 'times = [perf_counter()]']
     for _, code in STEPS:
@@ -36,7 +36,7 @@ def run(cache: str, **environment: str) -> dict[str, float]:
     start = perf_counter()
     answer = subprocess.run(
         [sys.executable, '-c', '\n'.join(lines)],
-        env={**os.environ, 'NUMBA_CACHE_DIR': cache, **environment},
+        env={**os.environ, 'NUMBA_CACHE_DIR': cache},
         check=True,
         capture_output=True,
         text=True,
@@ -48,14 +48,11 @@ def run(cache: str, **environment: str) -> dict[str, float]:
 
 
 def best(warm: int, cold: int) -> dict[str, dict[str, float]]:
-    """Time starts with a warm cache, with a cold cache, and without compilation; take the best."""
+    """Time starts with a warm cache and with a cold cache; take the best."""
     with tempfile.TemporaryDirectory() as folder:
         caches = [str(Path(folder) / f'{k}') for k in range(cold)]
         kinds = {'first start ever': [run(cache) for cache in caches]}
         kinds['later starts'] = [run(caches[0]) for _ in range(warm)]
-        # numba is still imported here; without numba, that step would take no time.
-        plain = [run(caches[0], NUMBA_DISABLE_JIT='1') for _ in range(warm)]
-    kinds['without compiling'] = plain
     return {
         kind: {step: min(run[step] for run in runs) for step in runs[0]}
         for kind, runs in kinds.items()

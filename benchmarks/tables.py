@@ -36,13 +36,10 @@ CALLS: dict[str, Maker] = {
     peers.REFERENCE: peers.pinocchio,
     'ours, out=': peers.ours,
     'ours, new array': peers.ours_new_array,
-    'ours, written out, out=': peers.ours_written_out,
-    'ours, written out, in place': peers.ours_in_place,
     'KDL': workers.kdl,
     'MuJoCo mj_rne': peers.mujoco_rne,
     'MuJoCo mj_inverse': peers.mujoco_inverse,
     'Drake': peers.drake,
-    'ours, no numba': lambda robot, _: workers.without_numba(robot),
     'roboticstoolbox': peers.toolbox,
 }
 
@@ -86,10 +83,6 @@ def _pairs(
     pairs: Pairs = {quantity: {} for quantity in kinds}
     for robot in robots:
         for quantity in kinds:
-            if quantity.is_generated and robot.n > quantities.MOST_GENERATED:
-                left_out = Entry(None, None, 'not timed')
-                pairs[quantity][robot.name] = {quantities.OURS: left_out}
-                continue
             pair = make(quantity, robot)
             with one_core():
                 pairs[quantity][robot.name] = _entries(pair, pair[1], rounds)

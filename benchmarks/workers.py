@@ -29,13 +29,6 @@ class OtherRobotsError(Exception):
     """A library does not support this kind of robot."""
 
 
-def without_numba(robot: Robot) -> Contender:
-    """Run this package without numba, in plain Python."""
-    command = [sys.executable, '-m', 'benchmarks.plain']
-    task = {'urdf': robot.urdf}
-    return start('ours, no numba', command, task, STATES, NUMBA_DISABLE_JIT='1')
-
-
 def kdl(robot: Robot, states: Floats) -> Contender:
     """Run KDL in the first Python interpreter with PyKDL, usually Debian's Python."""
     model = robot.model

@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .dynamics.generated.generated_dynamics import GeneratedDynamics
     from .dynamics.inverse_dynamics import InverseDynamics
     from .errors import (
         ConfigurationError,
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from .robot.urdf import load_urdf
 
 _HOMES = {  # of names that are not in errors.py
-    'GeneratedDynamics': 'dynamics.generated.generated_dynamics',
     'InverseDynamics': 'dynamics.inverse_dynamics',
     'RobotModel': 'robot.model',
     'load_urdf': 'robot.urdf',
@@ -30,7 +28,6 @@ _HOMES = {  # of names that are not in errors.py
 
 __all__ = [
     'ConfigurationError',
-    'GeneratedDynamics',
     'InverseDynamics',
     'InverseDynamicsError',
     'JointStateError',

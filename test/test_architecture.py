@@ -92,13 +92,6 @@ def test_no_file_imports_itself_through_others():
     assert len(order) >= len(FILES) - 1
 
 
-def test_nothing_imports_the_generated_code():
-    room = PACKAGE / 'dynamics' / 'generated'
-    for path in FILES:
-        if room not in path.parents and path != PACKAGE / '__init__.py':
-            assert not [name for name in imports_of(path) if 'dynamics.generated' in name], path
-
-
 def test_the_root_of_the_package_has_no_other_files():
     names = {path.name for path in PACKAGE.iterdir() if path.is_file()}
     assert names == {'__init__.py', 'errors.py', 'py.typed'}

@@ -40,8 +40,7 @@ paper's separate cases for rotational and translational joints are therefore one
 `recursion` evaluates the equations link by link, as in the paper. Tests compare the passes of
 `newton_euler` with `recursion`.
 
-Vectors are tuples, so that a component may be a number, a numpy array, or a `RunTimeNumber` of
-`codegen`.
+Vectors are tuples, so that a component may be a number or a numpy array.
 """
 
 from __future__ import annotations

@@ -65,7 +65,6 @@ Z_AXIS = 85
 COLUMNS = 88
 
 # Ranges of columns that are set together
-COM_COLUMNS = slice(COM, COM + 3)
 INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
 SPRING_COLUMNS = slice(STIFFNESS, PRELOAD + 1)
@@ -212,9 +211,7 @@ def write_friction(
     """Set the friction of all joints; ``speeds`` are the smoothing widths."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
-    # Zero if the width has no effect, because generated code treats nonzero numbers as loads.
-    steps = coulomb + load_friction + sqrt_damping
-    write_joints(table, INVERSE_WIDTH, np.where(steps > 0.0, 1.0 / speeds, 0.0))
+    write_joints(table, INVERSE_WIDTH, 1.0 / speeds)
     write_joints(table, LOAD_FRICTION, load_friction)
     write_joints(table, SQRT_DAMPING, sqrt_damping)
 
