@@ -37,6 +37,8 @@ class Written(NamedTuple):
 
     urdf: str
     parameters: dict[str, Any]
+    offsets: Floats
+    """Constant efforts of the drives, from the result."""
 
     def per_joint(self, name: str) -> Floats:
         """Return the values of a parameter for all joints."""
@@ -62,6 +64,7 @@ def main() -> int:
     written = Written(
         calibrated_urdf(result, options.urdf).decode(),
         yaml.safe_load(identified_parameters(result))['/**']['ros__parameters'],
+        np.array([joint.terms.offset for joint in result.joints]),
     )
     smoothed, raw = residuals(written, validation)
     print(f'{result.verdict}.\n')
@@ -162,7 +165,7 @@ def modelled(written: Written, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         + written.per_joint('damping') * rate
         + dry * np.tanh(rate / written.per_joint('coulomb_width'))
     )
-    return np.asarray(held + drive @ drives + written.per_joint('effort_offset'))
+    return np.asarray(held + drive @ drives + written.offsets)
 
 
 def least_density(urdf: str) -> float:

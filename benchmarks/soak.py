@@ -292,11 +292,10 @@ class Robot:
         self._answers.append(self._set.call_async(SetParameters.Request(parameters=[message])))
 
     def prepare(self) -> None:
-        """Wait for commands and services, and set a high cutoff for the external efforts."""
+        """Wait for commands and services, and count from then on."""
         self.spin(PATIENCE, lambda: any(self.last) and self._set.service_is_ready())
         if not any(self.last):
             raise SoakError(f'no command within {PATIENCE:g} s')
-        self.set('external_efforts_cutoff', 10000.0)
         self.spin(2.0)
         self.begin_quarter()
 

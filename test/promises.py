@@ -9,6 +9,7 @@ but decides by itself which changes of the inputs are motion, and how far ramps 
 from dataclasses import dataclass
 import math
 
+from inverse_dynamics_node.control import stop_damping
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
@@ -210,7 +211,7 @@ class Promises:
         off = np.abs(added - share * full)
         require((off <= ROUNDING).all(), 'damping of some joints only', off)
         most = min(1.0, (self.ramp_passed + 1e-9) / settings.stop_ramp)
-        late = self.ramp_passed - settings.stop_timeout - settings.stop_ramp
+        late = self.ramp_passed - stop_damping.TIMEOUT - settings.stop_ramp
         require(share <= most + ROUNDING, 'damping rises too fast', share, most)
         require(late <= 2.0 * self.base, 'damping takes too long', late)
         way = np.abs(loop.collector.q - self.stopped_at)

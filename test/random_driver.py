@@ -42,7 +42,6 @@ SETTINGS = {
     'start_ramp': [0.5, 0.5, 1.0, 3.0],
     'stop_ramp': [0.5, 0.5, 1.0],
     'stop_damping': [0.0, 20.0, 200.0],
-    'stop_timeout': [0.3, 20.0],
     'kp': [50.0, 100.0],
     'stiffness': [10.0, 50.0],
     'impedance_damping': [0.0, 2.0],
@@ -50,14 +49,12 @@ SETTINGS = {
     'guiding_damping': [0.0, 2.0],
     'velocity_filter_cutoff': [0.0, 20.0],
     'effort_scale': [1.0, 0.8],
-    'effort_offset': [0.0, 1.0],
     'effort_limits': [math.inf, 30.0],
     'effort_rate_limits': [math.inf, math.inf, 50.0],
 }
 LOAD_SETTINGS = {
     'load_ramp': [0.5, 1.0, 5.0],
     'wrench_timeout': [0.05, 0.1, 1.0],
-    'imu_filter_cutoff': [0.0, 1.0, 20.0],
 }
 
 

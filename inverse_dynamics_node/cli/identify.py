@@ -76,7 +76,7 @@ def make_parser() -> CommandParser:
     )
     arguments.add_output(parser, '--output', 'the calibrated URDF')
     arguments.add_output(
-        parser, '--parameters', 'friction, armature and effort offsets, as parameters of the node'
+        parser, '--parameters', 'friction and armature, as parameters of the node'
     )
     arguments.add_output(parser, '--json', 'the report as JSON')
     parser.add_argument(

@@ -16,7 +16,7 @@ _BRIEF = 0.03  # [s]; after a shorter pause, efforts continue without a blend
 LARGEST = 1e300
 """Largest accepted effort [N m or N]; the sum of two such efforts is finite."""
 # Rows of `CommandShaper._rows`. Each column belongs to a commanded joint.
-_INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
+_INDEX, _ADDED, _SCALE, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(9)
 NOMINAL_STEP = 0.01
 """Each command advances ramps by at most this time [s], or the usual interval if it is longer."""
 _LONGEST_STEP = 0.5  # [s]; longest usual interval, unless the period is longer
@@ -152,7 +152,7 @@ class CommandShaper:
     def __init__(self, index: Sequence[int], period: float = 0.0) -> None:
         m = len(index)
         self.clock = RampClock(period)
-        self._rows = np.zeros((10, m))
+        self._rows = np.zeros((9, m))
         self._rows[_INDEX] = index
         self.command: Floats = self._rows[_COMMAND]
         """The last command, shape (m,) [N m or N]; the next command overwrites it."""
@@ -179,7 +179,6 @@ class CommandShaper:
     def configure(
         self,
         scale: Floats,
-        offset: Floats,
         limits: Floats,
         rate_limits: Floats,
         start_ramp: float,
@@ -188,14 +187,13 @@ class CommandShaper:
         """
         Change the settings; the caller must then call `begin`.
 
-        All arrays have shape (m,). A command is ``scale`` times the computed effort, plus
-        ``offset`` [N m or N]. ``limits`` bounds the magnitude of the commands [N m or N].
-        ``rate_limits`` bounds the rate of change [N m/s or N/s]. Limits may be infinite. The start
-        ramp and each blend last for ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not
-        affect a stop ramp in progress.
+        All arrays have shape (m,). A command is ``scale`` times the computed effort. ``limits``
+        bounds the magnitude of the commands [N m or N]. ``rate_limits`` bounds the rate of change
+        [N m/s or N/s]. Limits may be infinite. The start ramp and each blend last for
+        ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not affect a stop ramp in progress.
 
         """
-        self._rows[[_SCALE, _OFFSET, _LIMIT]] = scale, offset, limits
+        self._rows[[_SCALE, _LIMIT]] = scale, limits
         # The rates must be finite, because 0 s times infinity is NaN.
         self._rows[_RATE] = np.minimum(rate_limits, LARGEST)
         self._has_rates = bool(np.isfinite(rate_limits).any())
@@ -369,10 +367,10 @@ def blend_efforts(
     Compute the next command; return False if an effort is NaN or exceeds `LARGEST`.
 
     - ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N].
-    - ``rows`` has shape (10, m), with one column per commanded joint.
+    - ``rows`` has shape (9, m), with one column per commanded joint.
     - Rows `_INDEX` to `_RATE` contain, in this order, the index of the joint in ``tau``, the
-      effort to add, the scale, the offset, the limit and the rate limit.
-    - Row `_WANTED` receives the effort after scale and offset.
+      effort to add, the scale, the limit and the rate limit.
+    - Row `_WANTED` receives the effort after scaling.
     - Row `_JUMP` contains the last command minus the computed effort, at the start of the blend.
     - Row `_EXCESS` contains the excess of the last command over its limit, at the start of the
       blend.
@@ -390,7 +388,7 @@ def blend_efforts(
     m = rows.shape[1]
     for k in range(m):
         effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])
-        effort = effort * float(rows[_SCALE, k]) + float(rows[_OFFSET, k])
+        effort *= float(rows[_SCALE, k])
         if not abs(effort) <= LARGEST:  # also false for NaN
             return False
         rows[_WANTED, k] = effort

@@ -10,6 +10,8 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats
 from .filters import LowPass
 
+CUTOFF = 10.0
+"""Cutoff of the low-pass for external efforts [Hz]."""
 _LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restarts
 
 
@@ -23,16 +25,15 @@ class ExternalEffortEstimator:
     terms cancel if the model explains the motion.
 
     ``dynamics`` is the model of a robot with n joints, including payloads, wrenches and friction.
-    ``cutoff`` is the cutoff frequency of the first-order low-pass [Hz].
 
     """
 
-    def __init__(self, dynamics: InverseDynamics, cutoff: float = 10.0) -> None:
+    def __init__(self, dynamics: InverseDynamics) -> None:
         self.dynamics = dynamics
         n = len(dynamics.robot.joint_names)
         self.scale = np.ones(n)
         """Factors that convert measured values into efforts [N m or N], shape (n,)."""
-        self.filter = LowPass(np.zeros((2, n)), cutoff)
+        self.filter = LowPass(np.zeros((2, n)), CUTOFF)
         """Row 0: velocities. Row 1: measured efforts minus those modelled at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf

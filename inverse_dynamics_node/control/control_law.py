@@ -13,7 +13,7 @@ from ..errors import ConfigurationError, JointStateError
 from ..robot.model import Booleans, Floats, RobotModel
 from .command_shaping import ramp_fraction
 from .filters import LowPass
-from .joint_states import State
+from .joint_states import LATE_AFTER, State
 from .settings import Mode, Settings
 from .supervision import Phase
 
@@ -70,7 +70,7 @@ class ControlLaw:
     def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
         """Change the settings; ``of_joint`` is the result of `Settings.expanded`."""
         self.settings, self._of_joint = settings, of_joint
-        self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
+        self._timeouts = np.full(len(self._qdd), LATE_AFTER)
         self._timeouts[self._index] = settings.state_timeout
         self._velocity_filter.cutoff = settings.velocity_filter_cutoff
         self._has_guiding_damping = bool(of_joint['guiding_damping'].any())

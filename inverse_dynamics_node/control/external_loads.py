@@ -26,6 +26,9 @@ from .command_shaping import ramp_fraction
 from .filters import LowPass
 from .settings import LARGEST_GRAVITY, LoadSettings
 
+IMU_TIMEOUT = 0.2
+"""Time without IMU data after which the motion of the base counts as lost [s]."""
+_IMU_CUTOFF = 20.0  # [Hz]; wheels vibrate
 STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
@@ -94,7 +97,7 @@ class ExternalLoads:
         self.gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
         """Current free-fall acceleration in the base frame [m/s^2]."""
         self._angular_velocity: Floats = np.zeros(3)
-        self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
+        self._imu_filter = LowPass(np.zeros((2, 3)), _IMU_CUTOFF)  # gravity and angular velocity
         self._is_base_lost = True
         self._is_new_signal = False  # whether the next motion of the base restarts the filter
         self._gravity_ramp = self.settings.load_ramp  # [s]
@@ -169,7 +172,6 @@ class ExternalLoads:
         force = _read_bounded('specific force', specific_force, 'm/s^2')
         turning = _read_bounded('angular velocity', angular_velocity, 'rad/s')
         was_lost = self._is_base_lost or self._is_new_signal or not self.is_base_known(now)
-        self._imu_filter.cutoff = self.settings.imu_filter_cutoff
         self._imu_filter.value = np.array([self.gravity, self._angular_velocity])
         sample = np.array([-force, turning])
         self.gravity, self._angular_velocity = self._imu_filter.update(
@@ -186,7 +188,7 @@ class ExternalLoads:
 
     def is_base_known(self, now: float) -> bool:
         """Return whether the motion of the base was measured within the timeout."""
-        return 0.0 <= now - self.imu_time <= self.settings.imu_timeout
+        return 0.0 <= now - self.imu_time <= IMU_TIMEOUT
 
     def update(self, now: float, elapsed: float) -> bool:
         """
@@ -212,8 +214,6 @@ class ExternalLoads:
 
     def apply(self, settings: LoadSettings, include_gravity: bool) -> None:
         """Change the settings; a ramp in progress keeps its duration."""
-        if settings.imu_filter_cutoff != self.settings.imu_filter_cutoff:
-            self.expect_new_signal()
         self.settings = settings
         if include_gravity is not self.include_gravity:
             self.include_gravity = include_gravity

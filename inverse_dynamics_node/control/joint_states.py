@@ -26,6 +26,8 @@ from .position_tracks import (
     way,
 )
 
+LATE_AFTER = 1.0
+"""Time after which an uncommanded joint without new states counts as late [s]."""
 _VELOCITY_TIMEOUT = 0.05  # [s]
 _MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
 _LONGEST_NAME = 100  # [characters]; longer names take too long to compare
@@ -238,15 +240,15 @@ class JointStateCollector:
         """Return the commanded joints whose last report is older than the timeout [s]."""
         return self._named(self._is_commanded & self._is_old(now, timeout))
 
-    def late(self, now: float, timeout: float) -> dict[str, float]:
+    def late(self, now: float) -> dict[str, float]:
         """
         Return, by name, the time since the last report of each late joint [s].
 
-        A joint is late if this time exceeds the timeout [s]. Commanded and locked joints are not
+        A joint is late if this time exceeds `LATE_AFTER`. Commanded and locked joints are not
         included, nor are joints without a report.
 
         """
-        is_late = self._is_free & ~self._is_commanded & self._is_old(now, timeout)
+        is_late = self._is_free & ~self._is_commanded & self._is_old(now, LATE_AFTER)
         is_late &= self.times > LONG_AGO
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
@@ -261,19 +263,19 @@ class JointStateCollector:
             forget_silent(self._tracks, now - self.times)
             self._find_alternating()
 
-    def rest_late(self, now: float, timeout: float) -> None:
+    def rest_late(self, now: float) -> None:
         """
-        Set the velocities of late, uncommanded joints to zero; times are in [s].
+        Set the velocities of late, uncommanded joints to zero; ``now`` is the time [s].
 
         Otherwise, a joint that is no longer reported would keep its last velocity forever.
 
         """
         if self.has_alternating:
             self.forget_silent(now)
-        are_fresh = 0.0 <= now - self._other_time <= timeout or self._other_time == math.inf
+        are_fresh = 0.0 <= now - self._other_time <= LATE_AFTER or self._other_time == math.inf
         if are_fresh and not self._has_resting:
             return
-        is_resting = ~self._is_commanded & (self.times > LONG_AGO) & self._is_old(now, timeout)
+        is_resting = ~self._is_commanded & (self.times > LONG_AGO) & self._is_old(now, LATE_AFTER)
         self.has_jumped |= bool((is_resting != self._is_resting).any())
         self._is_resting, self._has_resting = is_resting, bool(is_resting.any())
         self.late_count = int(np.count_nonzero(is_resting & self._is_free))

@@ -27,7 +27,6 @@ from .supervision import COMPUTING_PHASES, DryRun, Phase, StateSupervisor
 _INPUT_SETTINGS = (
     'mode',
     'state_timeout',
-    'uncommanded_state_timeout',
     'reference_timeout',
     'max_position_jump',
     'velocity_filter_cutoff',
@@ -99,7 +98,6 @@ class Controller:
         self.law.apply(settings, of_joint)
         self.shaper.configure(
             of_joint['effort_scale'],
-            of_joint['effort_offset'],
             limits,
             of_joint['effort_rate_limits'],
             settings.start_ramp,
@@ -310,7 +308,7 @@ class ControlLoop:
         controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
-        collector.rest_late(now, controller.settings.uncommanded_state_timeout)
+        collector.rest_late(now)
         state = collector.state()
         # Loads need no ramp before the first command, because no effort acts.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
@@ -392,16 +390,15 @@ class ControlLoop:
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """
-        Apply the scale and offset of the commands to modelled efforts [N m or N].
+        Apply the scale of the commands to modelled efforts [N m or N].
 
         ``efforts`` and the result have shape (k, len(index)). ``index`` contains the index of each
         column's joint in the robot. Efforts of uncommanded joints stay unchanged.
 
         """
-        scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
-        of_joint = self.controller.of_joint
-        scale[self.index], offset[self.index] = of_joint['effort_scale'], of_joint['effort_offset']
-        calibrated: Floats = scale[index] * efforts + offset[index]
+        scale = np.ones_like(self.collector.q)
+        scale[self.index] = self.controller.scale
+        calibrated: Floats = scale[index] * efforts
         return calibrated
 
     def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:

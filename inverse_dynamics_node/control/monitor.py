@@ -156,7 +156,6 @@ class Monitor:
             receivers=around.receivers,
             topic=around.topics.joint_efforts,
             external_topic=around.topics.external_efforts,
-            external_cutoff=loop.external_effort_estimator.filter.cutoff,
             measures_gravity=loop.measures_gravity,
             measured_scale=tuple(loop.external_effort_estimator.scale[loop.index].tolist()),
             scale=tuple(loop.controller.scale.tolist()),
@@ -201,7 +200,7 @@ def _joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> JointStat
         age=now - collector.time if math.isfinite(collector.time) else None,
         timeout=settings.state_timeout,
         publishers=around.publishers,
-        late=tuple(collector.late(now, settings.uncommanded_state_timeout)),
+        late=tuple(collector.late(now)),
         locked=tuple(collector.unseen()),
         without_velocity=tuple(collector.without_velocity()),
     )

@@ -128,7 +128,6 @@ class Settings:
         minimum=0.0,
     )
     effort_scale: PerJoint = setting(1.0, 'Factor that multiplies the efforts')
-    effort_offset: PerJoint = setting(0.0, 'Offset added to the scaled efforts', unit='N m, N')
     use_urdf_effort_limits: bool = setting(
         True, 'Keep efforts within `<limit effort>` of the URDF'
     )
@@ -150,14 +149,6 @@ class Settings:
     state_timeout: float = setting(
         0.1,
         'Age after which the state of a commanded joint counts as lost',
-        unit='s',
-        minimum=0.005,
-        maximum=60.0,
-    )
-    uncommanded_state_timeout: float = setting(
-        1.0,
-        'Time without a state after which a joint that is not commanded is assumed to be at rest',
-        'The last position of the joint is used, and the arm does not stop',
         unit='s',
         minimum=0.005,
         maximum=60.0,
@@ -200,14 +191,6 @@ class Settings:
         minimum=0.0,
         maximum=200.0,
     )
-    stop_timeout: float = setting(
-        20.0,
-        'Longest time for `stop_damping`; afterwards, the damping fades within `stop_ramp`',
-        'A change applies from the next stop on',
-        unit='s',
-        minimum=0.0,
-        maximum=300.0,
-    )
 
     def expanded(self, m: int) -> dict[str, Floats]:
         """
@@ -234,23 +217,8 @@ LARGEST_GRAVITY = 100.0
 
 @dataclass(frozen=True)
 class LoadSettings:
-    """Filter, timeouts and ramp of the external loads."""
+    """Timeout and ramp of the external loads."""
 
-    imu_filter_cutoff: float = setting(
-        20.0,
-        'Cutoff of the first-order low-pass for the motion of the base. 0: no filter',
-        unit='Hz',
-        minimum=0.0,
-    )
-    imu_timeout: float = setting(
-        0.2,
-        'Time without a message on `imu` after which the motion of the base counts as lost',
-        'While the motion is lost, gravity keeps its last value, and the angular velocity is '
-        'taken as zero',
-        unit='s',
-        minimum=0.005,
-        maximum=60.0,
-    )
     load_ramp: float = setting(
         0.5,
         'Time for ramping in a payload, and for fading out an external wrench',

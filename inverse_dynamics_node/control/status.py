@@ -165,7 +165,6 @@ class EffortsStatus(Part):
     receivers: int | None = key('receivers')
     topic: str = key('topic with names', default='')
     external_topic: str = key('topic of the external efforts', default='')
-    external_cutoff: float | None = key('cutoff of the external efforts [Hz]', 'g')
     measures_gravity: bool | None = key('measured efforts contain gravity')
     """Whether measured efforts contain gravity, according to the parameters."""
     measured_scale: tuple[float, ...] = key('scale of the measured efforts', 'g', default=())

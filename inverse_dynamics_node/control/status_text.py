@@ -13,6 +13,7 @@ import numpy as np
 
 from ..robot.limit_checks import implausible_positions
 from ..robot.model import Floats
+from .external_loads import IMU_TIMEOUT
 from .loop import ControlLoop
 from .settings import Mode, StalePolicy
 from .status import GraphInfo, Level, NodeNames
@@ -92,10 +93,7 @@ def describe_lost_imu(now: float, loop: ControlLoop) -> str:
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''
-    return (
-        'the motion of the base is unknown: no message on imu for more than '
-        f'{loads.settings.imu_timeout:g} s'
-    )
+    return f'the motion of the base is unknown: no message on imu for more than {IMU_TIMEOUT:g} s'
 
 
 def describe_recovery(loop: ControlLoop) -> str:
@@ -164,12 +162,10 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
 
 def describe_late(loop: ControlLoop, now: float) -> list[str]:
     """Describe uncommanded joints whose states are too old, and suggest remedies."""
-    timeout = loop.controller.settings.uncommanded_state_timeout
     return [
         f"joint '{name}' (not commanded) was last reported {age:.1f} s ago and is assumed to be "
-        f'at rest at its last position; raise uncommanded_state_timeout ({timeout:g} s) or set '
-        f'locked_positions.{name}'
-        for name, age in loop.collector.late(now, timeout).items()
+        f'at rest at its last position; if this is normal, set locked_positions.{name}'
+        for name, age in loop.collector.late(now).items()
     ]
 
 

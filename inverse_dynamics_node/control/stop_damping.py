@@ -16,6 +16,8 @@ from .settings import Settings
 
 AT_REST = 'the arm is at rest'
 """The usual reason why the damping ends."""
+TIMEOUT = 20.0
+"""Longest time for which a stop is damped [s]; then the damping fades over the stop ramp."""
 # An arm that moves less than this distance within this time is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # Velocities contradict positions if the integral of the velocity differs from the change of
@@ -112,12 +114,12 @@ class StopDamping:
             self._pause = since
         problem = self._track(now, state, is_first)
         settings = self._settings
-        late = max(0.0, self._passed - settings.stop_timeout)
+        late = max(0.0, self._passed - TIMEOUT)
         left = 1.0 - ramp_fraction(late, settings.stop_ramp) if late else 1.0
         if not problem and self._is_at_rest():
             problem = AT_REST
         if not problem and not left:
-            problem = f'stop_timeout ({settings.stop_timeout:g} s) has passed'
+            problem = f'the arm still moves after {TIMEOUT:g} s'
         if problem:
             self.end(problem)
             return None

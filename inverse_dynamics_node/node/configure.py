@@ -93,9 +93,7 @@ def apply_configuration(
     if not changed.isdisjoint(_LOADS):
         loop.loads.apply(configuration, configuration.include_gravity)
     loop.measured_gravity = configuration.measured_gravity
-    estimator = loop.external_effort_estimator
-    estimator.filter.cutoff = configuration.external_efforts_cutoff
-    estimator.scale[loop.index] = of_joint['measured_effort_scale']
+    loop.external_effort_estimator.scale[loop.index] = of_joint['measured_effort_scale']
     if before is not None and 'gravity' in changed and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
     # This call also blends in the changes above.

@@ -15,6 +15,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
+from ..control.stop_damping import TIMEOUT
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
 from ..ros.graph import Graph
@@ -251,7 +252,7 @@ class InverseDynamicsNode(LifecycleNode):
     def _warn_of_launch(self, configuration: Configuration) -> None:
         names, longest = 'stop_ramp', configuration.stop_ramp
         if configuration.stop_damping:
-            names, longest = 'stop_ramp + stop_timeout', longest + configuration.stop_timeout
+            names, longest = 'stop_ramp plus the time for stop_damping', longest + TIMEOUT
         if longest >= _LAUNCH_SIGTERM_TIMEOUT:
             self.get_logger().warning(
                 f'{names} is {longest:g} s, but ros2 launch sends SIGTERM '

@@ -130,13 +130,6 @@ class Configuration(Settings, LoadSettings):
         minimum=-7.0,
         maximum=7.0,
     )
-    external_efforts_cutoff: float = parameter(
-        10.0,
-        'Cutoff of the first-order low-pass of `~/external_efforts`',
-        unit='Hz',
-        minimum=0.01,
-        maximum=10_000.0,
-    )
     include_gravity: bool = parameter(
         True,
         'Set to false if the driver compensates gravity itself, as for UR, Franka and KUKA FRI',

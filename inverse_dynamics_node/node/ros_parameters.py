@@ -28,7 +28,13 @@ _REMOVED = {
     'executor': 'the node always uses the EventsExecutor',
     'lock_memory': 'on a robot, switch swap off (swapoff -a)',
     'on_missing_inertial': 'the node always warns',
+    'effort_offset': 'correct a constant offset in the driver',
+    'external_efforts_cutoff': '~/external_efforts are filtered at 10 Hz',
+    'imu_filter_cutoff': 'the motion of the base is filtered at 20 Hz',
+    'imu_timeout': 'the motion of the base counts as lost after 0.2 s',
     'payload_transition_time': 'a new payload is blended in over start_ramp',
+    'stop_timeout': 'a stop is damped for at most 20 s',
+    'uncommanded_state_timeout': 'a joint that is not commanded counts as late after 1 s',
 }
 """Parameters of earlier versions, and what to do instead."""
 

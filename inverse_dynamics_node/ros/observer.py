@@ -19,6 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from ..control.contact import CUTOFF
 from ..control.filters import LowPass
 from ..control.status import NodeStatus
 from ..errors import InverseDynamicsError, JointStateError
@@ -274,12 +275,10 @@ class Observer:
         if len(positions) != len(names):
             return
         if names not in self._filters:
-            self._filters[names] = LowPass(np.zeros((3, len(names))))
+            self._filters[names] = LowPass(np.zeros((3, len(names))), CUTOFF)
             self._settled_at = time.monotonic() + _SETTLING
         unknown = np.full(len(names), np.nan)
         low_pass = self._filters[names]
-        efforts_status = self.status.efforts if self.status else None
-        low_pass.cutoff = (efforts_status and efforts_status.external_cutoff) or 0.0
         signals = [
             values if len(values) == len(names) else unknown
             for values in (positions, velocities, efforts)

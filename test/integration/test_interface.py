@@ -38,7 +38,6 @@ PATIENT = {
     # Longer than a busy machine needs between two messages.
     'state_timeout': 5.0,
     'reference_timeout': 5.0,
-    'imu_timeout': 5.0,
 }
 OWN = 'inverse_dynamics'
 
@@ -167,7 +166,6 @@ def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics
         **PATIENT,
         base_motion='imu',
         imu_orientation=f'[0.0, 0.0, {math.pi / 2}]',
-        imu_filter_cutoff=0,
     )
     robot.publish_state(NAMES, Q, QD)
     robot.wait_for_text(node, 'waiting for the motion of the base on /imu')  # and nothing else
@@ -184,7 +182,7 @@ def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics
 
 
 def test_a_lost_imu_leaves_gravity_as_it_was(run_node, robot, dynamics):
-    run_node(**{**PATIENT, 'imu_timeout': 1.0}, base_motion='imu', imu_filter_cutoff=0.0)
+    run_node(**PATIENT, base_motion='imu')
     robot.publish_state(NAMES, Q, QD)
     measuring = robot.keep_publishing('imu', imu((0.0, 3.0, 9.0), (0.3, 0.0, 0.0)))
     dynamics.set_gravity((0.0, -3.0, -9.0))

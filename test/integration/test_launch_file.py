@@ -6,6 +6,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+from inverse_dynamics_node.control.stop_damping import TIMEOUT
 from inverse_dynamics_node.node.parameters import PARAMETERS
 from inverse_dynamics_node.node.policy import PUBLISHED, SUBSCRIBED
 from launch_arguments import ARGUMENTS, FOLDER, LAUNCH, NODE, ros_arguments, SUBSTITUTIONS
@@ -44,8 +45,8 @@ def test_arguments_are_documented_used_and_have_a_default():
 
 
 def test_the_longest_stop_by_default_is_not_cut_short():
-    stop_ramp, stop_timeout = (PARAMETERS[name].default for name in ('stop_ramp', 'stop_timeout'))
-    assert float(NODE.get('sigterm_timeout')) > 2.0 * stop_ramp + stop_timeout + 5.0
+    stop_ramp = PARAMETERS['stop_ramp'].default
+    assert float(NODE.get('sigterm_timeout')) > 2.0 * stop_ramp + TIMEOUT + 5.0
 
 
 def test_executable_parameters_and_topics_are_those_of_the_node():

@@ -29,7 +29,6 @@ some_settings = st.fixed_dictionaries(
         'start_ramp': st.sampled_from([SHORTEST, 1.0]),
         'stop_ramp': st.sampled_from([0.0, 0.1, 0.5]),
         'effort_scale': st.sampled_from([-1.0, 0.5, 1.0]),
-        'effort_offset': st.sampled_from([0.0, -2.0]),
         'use_urdf_effort_limits': st.booleans(),
         'effort_limits': st.one_of(st.just(LARGEST), efforts, st.tuples(efforts, efforts)),
         'effort_rate_limits': st.sampled_from([math.inf, 1.0, 20.0, (5.0, math.inf)]),

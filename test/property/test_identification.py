@@ -276,7 +276,7 @@ def check_exported(result, real, motion):
     }
     configuration = Configuration(**values)
     loop = make_loop(configuration, load_urdf(calibrated_urdf(result, STANFORD).decode()), '')
-    offset = np.array(values['effort_offset'])
+    offset = np.array([joint.terms.offset for joint in result.joints])
     tolerance = 1e-9 * np.abs(expected).max()
     of_node = loop.dynamics.efforts(q, qd, qdd) + offset
     np.testing.assert_allclose(of_node, actual, rtol=0, atol=tolerance)

@@ -16,9 +16,7 @@ STEP = 0.01  # [s]; no ramp advances faster
 some = {
     'stop_damping': st.sampled_from([1.0, 50.0, 200.0]),
     'stop_ramp': st.sampled_from([0.0, 0.1, 0.5]),
-    'stop_timeout': st.sampled_from([0.0, 0.3, 20.0]),
     'effort_limits': st.sampled_from([np.inf, 20.0, 0.5]),
-    'effort_offset': st.sampled_from([0.0, 2.0]),
 }
 scales = st.lists(st.sampled_from([1.0, 1.0, -1.0, 0.02, -3.0, 0.0]), min_size=N, max_size=N)
 subsets = st.sets(st.integers(0, N - 1), min_size=1).map(sorted)

@@ -425,7 +425,7 @@ def test_resuming_in_the_middle_of_a_stop_continues_from_the_last_command():
         {'effort_limits': 1.0},
         {'use_urdf_effort_limits': False, 'effort_scale': 3.0},
         {'mode': Mode.COMPUTED_TORQUE},
-        {'effort_offset': (-30.0, 5.0), 'effort_rate_limits': 1e-3},
+        {'effort_scale': (-3.0, 5.0), 'effort_rate_limits': 1e-3},
     ],
 )
 def test_a_live_change_continues_from_the_last_command(change):
@@ -588,9 +588,9 @@ def test_continuous_joints_take_the_shorter_way():
     assert command.efforts == pytest.approx([2.0 * distance, distance])
 
 
-def test_scale_and_offset_come_before_the_limits():
-    lift = controller(effort_scale=(0.5, 2.0), effort_offset=1.0)
-    assert lift.step(0.0, state(0.0), None).efforts == pytest.approx([16.0, 15.0])
+def test_the_scale_comes_before_the_limits():
+    lift = controller(effort_scale=(0.5, 2.0))
+    assert lift.step(0.0, state(0.0), None).efforts == pytest.approx([15.0, 15.0])
 
 
 def test_limits_of_the_urdf_are_tightened_never_loosened():
@@ -790,7 +790,7 @@ def test_a_tightened_limit_applies_although_changes_restart_the_blend_all_the_ti
         time = settled(lift)
         for k in range(1500):
             now = time + 0.001 * k
-            lift.apply(Settings(effort_offset=1e-3 * (k % 2), **ours))
+            lift.apply(Settings(effort_scale=1.0 + 1e-3 * (k % 2), **ours))
             efforts = lift.step(now, state(time if is_lost else now), None).efforts
         assert (efforts < 5.1).all()
 
@@ -1011,7 +1011,7 @@ def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
         (
             state(0.01),
             [0.0, 0.0],
-            {'effort_scale': (1.0, 1e300), 'effort_offset': (0.0, -1e300)},
+            {'effort_scale': (1.0, 1e300)},
             "the computed effort of joint 'high' is 1e+301",
         ),
     ],

@@ -96,7 +96,6 @@ STATUSES = st.builds(
             receivers=COUNTS,
             topic=TEXTS,
             external_topic=TEXTS,
-            external_cutoff=numbers(3),
             measures_gravity=optional(st.booleans()),
             scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),
             measured_scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),

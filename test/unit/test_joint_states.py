@@ -290,30 +290,30 @@ def hand(locked=None):
 def test_there_is_no_jump_before_a_joint_was_late_or_locked():
     collector = hand({'thumb': 0.1})
     assert (collector.has_jumped, collector.late_count) == (False, 0)
-    collector.rest_late(0.0, 1.0)
+    collector.rest_late(0.0)
     assert (collector.has_jumped, collector.late_count) == (False, 0)
     store_state(collector, 1.0, HAND[:2], [0.0] * 2, [NAN, NAN])
-    collector.rest_late(1.0, 1.0)
+    collector.rest_late(1.0)
     assert (collector.has_jumped, collector.late_count) == (False, 0)
 
 
 def test_a_joint_that_becomes_late_or_returns_sets_the_jump_flag_until_it_is_cleared():
     collector = hand()
     store_state(collector, 5.0, HAND, [0.0] * 3, [1.0] * 3)
-    collector.rest_late(5.5, 1.0)
+    collector.rest_late(5.5)
     assert not collector.has_jumped
     store_state(collector, 7.0, ['arm', 'thumb'], [0.0] * 2, [1.0] * 2)
-    collector.rest_late(7.0, 1.0)
+    collector.rest_late(7.0)
     assert collector.has_jumped
-    assert collector.late(7.0, 1.0) == {'finger': 2.0}
+    assert collector.late(7.0) == {'finger': 2.0}
     assert collector.qd.tolist() == [1.0, 0.0, 1.0]
-    collector.rest_late(7.1, 1.0)
+    collector.rest_late(7.1)
     assert collector.has_jumped
     collector.has_jumped = False
-    collector.rest_late(7.2, 1.0)
+    collector.rest_late(7.2)
     assert not collector.has_jumped
     store_state(collector, 7.3, HAND, [0.0] * 3, [1.0] * 3)
-    collector.rest_late(7.3, 1.0)
+    collector.rest_late(7.3)
     assert collector.has_jumped
 
 
@@ -323,7 +323,7 @@ def test_the_first_report_of_a_locked_joint_sets_the_jump_flag_until_it_is_clear
     assert not collector.has_jumped
     store_state(collector, 1.0, ['thumb'], [0.3], [])
     store_state(collector, 1.1, HAND[:2], [0.0] * 2, [])
-    collector.rest_late(1.1, 1.0)
+    collector.rest_late(1.1)
     assert collector.has_jumped
 
 
@@ -371,7 +371,7 @@ def test_contradictory_positions_are_forgotten_when_nobody_reports_them_any_more
     collector.forget_silent(time)
     assert collector.has_alternating
     collector.has_jumped = False
-    collector.rest_late(time + 1.1, 60.0)
+    collector.forget_silent(time + 1.1)
     assert collector.alternating() == {}
     assert collector.is_consistent
     assert not collector.has_alternating

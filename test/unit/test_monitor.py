@@ -199,7 +199,6 @@ def test_a_report_describes_the_loop_the_topics_and_the_limits():
     assert states_are['timeout [s]'] == '0.25'
     assert efforts_are['topic with names'] == '/commands_with_names'
     assert efforts_are['topic of the external efforts'] == '/external'
-    assert efforts_are['cutoff of the external efforts [Hz]'] == '10'
     assert efforts_are['scale'] == '2, -0.5'
     assert efforts_are['limits [N m, N]'] == '3, 4'
     assert model_is['joints'] == ', '.join(JOINTS[::-1])

@@ -191,7 +191,7 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
 _TITLE = (
     'Identified from recordings. Units for revolute joints (prismatic joints):',
     'damping N m s/rad (N s/m), coulomb N m (N), coulomb_width rad/s (m/s),',
-    'armature kg m^2 (kg), effort_offset N m (N).',
+    'armature kg m^2 (kg). An offset of the efforts belongs into the driver.',
 )
 _EXTRAS = {
     'sqrt_damping': 'sqrt_damping',
@@ -220,7 +220,6 @@ def identified_parameters(result: IdentificationResult) -> str:
             'coulomb_width': known('width', 0.01),
             'load_friction': known('load_friction', 0.0),
             'armature': [joint.terms.armature for joint in joints],
-            'effort_offset': [joint.terms.offset for joint in joints],
             **{name: values for name, values in extras.items() if any(values)},
         },
     )
