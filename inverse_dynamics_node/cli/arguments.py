@@ -3,81 +3,36 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import math
 from pathlib import Path
-import shutil
 import sys
-from typing import Any
+import textwrap
 
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
-from ..errors import did_you_mean, shortened, UrdfError
-from ..report.tables import WIDTH, wrapped
+from ..errors import UrdfError
 from ..robot.kinematics import last_link
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .console import waiting
 from .output_files import output_path, picture_path
 
-ROBOT, RESULT = 'robot and load', 'result'
-"""Titles of two groups of options that most commands have."""
+_WIDTH = 99
+"""Largest width of the help of a command, in characters."""
 
 
-class CommandParser(argparse.ArgumentParser):
-    """
-    The parser of one command.
-
-    The help is wrapped to the width of the terminal, except for paragraphs that have indented
-    lines. The options are in four groups. Their titles are `ROBOT`, the argument `own`, `RESULT`
-    and 'help'. An option that is added without a group is in the group `own`. If an option is
-    mistyped, the error message suggests a correction.
-    """
-
-    def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
-        width = min(WIDTH, shutil.get_terminal_size().columns - 2)
-        super().__init__(
-            prog=f'inverse_dynamics {command}',
-            description=_fitting(description, width),
-            epilog=_fitting(epilog, width),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            add_help=False,
-        )
-        titles = (ROBOT, own, RESULT, 'help')
-        self._option_groups = {title: self.add_argument_group(title) for title in titles}
-        self._own = own
-        self._names: list[str] = []
-        self.add_argument('-h', '--help', group='help', action='help', help='show this text')
-
-    def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:
-        """Add a positional argument, or add an option to the group with the title `group`."""
-        if not names[0].startswith('-'):
-            return super().add_argument(*names, **properties)
-        self._names += names
-        return self._option_groups[group or self._own].add_argument(*names, **properties)
-
-    def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Parse the arguments; if one is wrong, print an error and exit with code 2."""
-        for argument in arguments:
-            name = argument.partition('=')[0]
-            if name == '--':
-                break
-            # Without this check, argparse would report a missing argument first.
-            if name.startswith('--') and not any(x.startswith(name) for x in self._names):
-                hint = did_you_mean(name, self._names)
-                self.error(f"there is no option '{shortened(name)}'{hint}")
-        return self.parse_args(arguments)
-
-
-def _fitting(text: str, width: int) -> str:
-    """Wrap each paragraph of the text, unless the paragraph has indented lines."""
-    paragraphs = text.strip('\n').split('\n\n')
-    return '\n\n'.join(
-        paragraph if '\n ' in paragraph else '\n'.join(wrapped(paragraph, width))
-        for paragraph in paragraphs
+def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """Return the parser of a command; the line breaks of the epilog are kept."""
+    return argparse.ArgumentParser(
+        prog=f'inverse_dynamics {command}',
+        description=textwrap.fill(description, _WIDTH, break_on_hyphens=False),
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
 
 
-def add_urdf(parser: CommandParser) -> None:
+def add_urdf(parser: argparse.ArgumentParser) -> None:
     """Add the argument for the robot description."""
     parser.add_argument(
         'urdf',
@@ -86,11 +41,10 @@ def add_urdf(parser: CommandParser) -> None:
     )
 
 
-def add_gravity(parser: CommandParser) -> None:
+def add_gravity(parser: argparse.ArgumentParser) -> None:
     """Add the option --gravity."""
     parser.add_argument(
         '--gravity',
-        group=ROBOT,
         type=float,
         nargs=3,
         default=STANDARD_GRAVITY,
@@ -100,27 +54,26 @@ def add_gravity(parser: CommandParser) -> None:
     )
 
 
-def add_link(parser: CommandParser, role: str = '') -> None:
+def add_link(parser: argparse.ArgumentParser, role: str = '') -> None:
     """Add the option --link; the help ends with `role`."""
     text = (
         'link that carries the payload (default: tool0 if it exists, otherwise the last link of '
         'the longest chain, ignoring fingers)'
     )
-    parser.add_argument('--link', group=ROBOT, help=text + role)
+    parser.add_argument('--link', help=text + role)
 
 
-def add_payload(parser: CommandParser) -> None:
+def add_payload(parser: argparse.ArgumentParser) -> None:
     """Add the option --payload."""
     parser.add_argument(
         '--payload',
-        group=ROBOT,
         type=_payload,
         metavar='MASS[,X,Y,Z]',
         help='mass of a payload [kg], and its centre of mass in the frame of --link [m]',
     )
 
 
-def add_node_parameters(parser: CommandParser) -> None:
+def add_node_parameters(parser: argparse.ArgumentParser) -> None:
     """Add the option --node-parameters."""
     parser.add_argument(
         '--node-parameters',
@@ -131,17 +84,16 @@ def add_node_parameters(parser: CommandParser) -> None:
     )
 
 
-def add_friction(parser: CommandParser) -> None:
+def add_friction(parser: argparse.ArgumentParser) -> None:
     """Add the option --friction."""
     parser.add_argument(
         '--friction',
-        group=ROBOT,
         action='store_true',
         help='include the friction of the URDF in the computed efforts',
     )
 
 
-def add_picture(parser: CommandParser, default: str = '') -> None:
+def add_picture(parser: argparse.ArgumentParser, default: str = '') -> None:
     """
     Add the option --picture, and add --no-picture if the command draws by default.
 
@@ -150,15 +102,12 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
     text = f' (default: {default})' if default else ' (default: no picture)'
     parser.add_argument(
         '--picture',
-        group=RESULT,
         type=picture_path,
         metavar='FILE',
         help=f'file for a picture: .png, .svg or .pdf{text}',
     )
     if default:
-        parser.add_argument(
-            '--no-picture', group=RESULT, action='store_true', help='do not write a picture'
-        )
+        parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
 
 
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
@@ -166,29 +115,25 @@ def picture_or(options: argparse.Namespace, default: str) -> Path | None:
     return None if options.no_picture else options.picture or Path(default)
 
 
-def add_output(parser: CommandParser, option: str, help_text: str, metavar: str = 'FILE') -> None:
+def add_output(
+    parser: argparse.ArgumentParser, option: str, help_text: str, metavar: str = 'FILE'
+) -> None:
     """Add an option for a file to write."""
-    parser.add_argument(
-        option, group=RESULT, type=output_path, metavar=metavar, help=f'file for {help_text}'
-    )
+    parser.add_argument(option, type=output_path, metavar=metavar, help=f'file for {help_text}')
 
 
-def add_force(parser: CommandParser) -> None:
+def add_force(parser: argparse.ArgumentParser) -> None:
     """Add the option --force."""
     parser.add_argument(
         '--force',
-        group=RESULT,
         action='store_true',
-        help='replace existing files, except inputs; without this option, an existing file is '
-        'replaced only if an earlier command wrote it and it has not changed since',
+        help='replace existing files, except inputs',
     )
 
 
-def add_strict(parser: CommandParser, condition: str) -> None:
+def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
     """Add the option --strict; `condition` completes the help "exit with code 3 if ..."."""
-    parser.add_argument(
-        '--strict', group=RESULT, action='store_true', help=f'exit with code 3 if {condition}'
-    )
+    parser.add_argument('--strict', action='store_true', help=f'exit with code 3 if {condition}')
 
 
 def strict_code(options: argparse.Namespace, is_met: object) -> int:
@@ -196,11 +141,10 @@ def strict_code(options: argparse.Namespace, is_met: object) -> int:
     return 3 if options.strict and is_met else 0
 
 
-def add_at(parser: CommandParser, which: str) -> None:
+def add_at(parser: argparse.ArgumentParser, which: str) -> None:
     """Add the option --at; `which` completes the help "position [rad, m] of a joint ..."."""
     parser.add_argument(
         '--at',
-        group=ROBOT,
         action='append',
         default=[],
         type=_joint_position,

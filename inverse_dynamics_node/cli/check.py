@@ -26,7 +26,6 @@ from ..report.tables import (
 from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .arguments import CommandParser
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file
 from .pictures.check import draw
@@ -50,15 +49,14 @@ warnings, and --strict was given."""
 _MOST_JOINTS = 8  # largest number of joints in the text of a pose
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'check',
         'Report on a robot description. The command prints a verdict, the tree of joints with '
         'masses and limits, the gravity efforts over the workspace, the payload that the effort '
         'limits allow, and warnings with hints.',
         EPILOG,
-        own='search',
     )
     arguments.add_urdf(parser)
     arguments.add_link(parser)

@@ -22,7 +22,6 @@ from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
 from ..robot.limit_checks import position_warnings
 from . import arguments
-from .arguments import CommandParser, ROBOT
 from .console import say, show, show_warnings
 from .output_files import check_outputs, write_file
 from .pictures.compare import draw
@@ -54,9 +53,9 @@ exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 
 warnings, and --strict was given."""
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'compare',
         'Compare the measured efforts of a recording with the modelled ones, fit '
         'friction, and diagnose the differences. The command also writes a picture.',
@@ -91,7 +90,6 @@ def make_parser() -> CommandParser:
     arguments.add_friction(parser)
     parser.add_argument(
         '--coulomb-width',
-        group=ROBOT,
         type=arguments.number('a speed above 0', lambda speed: 0.0 < speed < math.inf),
         metavar='SPEED',
         help='speed below which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '

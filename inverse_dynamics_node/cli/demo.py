@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -40,7 +40,7 @@ from ..simulation.demo.identification import (
 from ..simulation.demo.processes import stay_on_this_machine, unused_domain
 from ..simulation.demo.results import excuse, ScenarioResult
 from ..simulation.demo.scenarios import SCENARIOS
-from .arguments import add_force, add_picture, CommandParser, RESULT
+from .arguments import add_force, add_picture, new_parser
 from .console import progress, say, show
 from .output_files import check_outputs, output_path
 from .pictures import demo as pictures
@@ -67,6 +67,7 @@ Draw = Callable[[Path], None]
 
 def run(options: argparse.Namespace) -> int:
     """Run the demo; return the exit code."""
+    _check(options)
     outputs = {'--picture': options.picture, '--record': options.record}
     check_outputs([options.urdf], outputs, options.force)
     stay_on_this_machine()
@@ -96,33 +97,27 @@ def _new_folder(text: str) -> Path:
     return output_path(text)
 
 
-class _Parser(CommandParser):
-    """A parser that also checks the values of the options."""
-
-    def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Parse the arguments; if one is wrong, print an error and exit with code 2."""
-        options = super().parse(arguments)
-        name = options.scenario
-        least = 5.0 if name == CALIBRATE else SCENARIOS[name].least_duration
-        if not 50.0 <= options.rate <= 5000.0:
-            self.error(f'--rate is {options.rate:g} Hz, expected 50 to 5000 Hz')
-        if not least <= options.duration < math.inf:
-            self.error(f'--duration is {options.duration:g} s, expected {least:g} s or more')
-        if options.domain is not None and not 0 <= options.domain <= 232:
-            self.error(f'--domain is {options.domain}, expected 0 to 232')
-        return options
+def _check(options: argparse.Namespace) -> None:
+    """Check the values of the options; if one is wrong, print an error and exit with code 2."""
+    name, error = options.scenario, make_parser().error
+    least = 5.0 if name == CALIBRATE else SCENARIOS[name].least_duration
+    if not 50.0 <= options.rate <= 5000.0:
+        error(f'--rate is {options.rate:g} Hz, expected 50 to 5000 Hz')
+    if not least <= options.duration < math.inf:
+        error(f'--duration is {options.duration:g} s, expected {least:g} s or more')
+    if options.domain is not None and not 0 <= options.domain <= 232:
+        error(f'--domain is {options.domain}, expected 0 to 232')
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
     summaries = {name: scenario.summary for name, scenario in SCENARIOS.items()}
     summaries[CALIBRATE] = SUMMARY
     scenarios = '\n'.join(f'  {name:12} {summary}' for name, summary in summaries.items())
-    parser = _Parser(
+    parser = new_parser(
         'demo',
         'Run the node on a simulated robot in a scenario, and check the result.',
         f'scenarios:\n{scenarios}\n\n{EPILOG}',
-        own='run',
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     _add_run(parser, summaries)
@@ -130,7 +125,7 @@ def make_parser() -> CommandParser:
     return parser
 
 
-def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
+def _add_run(parser: argparse.ArgumentParser, scenarios: Iterable[str]) -> None:
     """Add the options for the scenario and its conditions."""
     parser.add_argument(
         '--scenario',
@@ -173,19 +168,17 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
     )
 
 
-def _add_files(parser: CommandParser) -> None:
+def _add_files(parser: argparse.ArgumentParser) -> None:
     """Add the options for the files to write."""
     add_picture(parser)
     parser.add_argument(
         '--record',
-        group=RESULT,
         type=_new_folder,
         metavar='FOLDER',
         help='new folder for a rosbag2 recording',
     )
     parser.add_argument(
         '--storage',
-        group=RESULT,
         choices=('mcap', 'sqlite3'),
         default='mcap',
         help='storage format of the recording (default: %(default)s)',

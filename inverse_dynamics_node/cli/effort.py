@@ -24,7 +24,6 @@ from ..report.tables import counted, decimals, effort_unit, fraction, number, Ta
 from ..robot.limit_checks import position_warnings
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .arguments import CommandParser
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file
 from .pictures.effort import draw
@@ -54,9 +53,9 @@ _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 _rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'effort',
         'Compute the joint efforts along a trajectory. The command prints the peaks and their '
         'limits, the RMS values, and the terms of the efforts. It also writes the efforts over '

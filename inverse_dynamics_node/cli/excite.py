@@ -25,7 +25,6 @@ from ..robot.capsules import body_capsules
 from ..robot.model import RobotModel
 from ..robot.urdf.shapes import read_shapes
 from . import arguments
-from .arguments import CommandParser, RESULT
 from .console import progress, say, show, waiting
 from .output_files import check_outputs, new_file
 from .pictures.excite import draw
@@ -59,16 +58,15 @@ _speed = arguments.number('a factor above 0 and up to 1', lambda value: 0.0 < va
 _height = arguments.number("a height or 'none'", math.isfinite)
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'excite',
         'Within the limits of the robot, find the motion that is best for identifying masses and '
         'friction. The command writes the motion as CSV and as a JointTrajectory, draws a '
         'picture, and reports the space that the motion needs and the standard errors that the '
         'identified parameters would have.',
         EPILOG,
-        own='motion',
     )
     arguments.add_urdf(parser)
     _add_limits(parser)
@@ -80,7 +78,7 @@ def make_parser() -> CommandParser:
     return parser
 
 
-def _add_limits(parser: CommandParser) -> None:
+def _add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options that limit the motion, and the options for its surroundings."""
     parser.add_argument(
         '--joints',
@@ -125,7 +123,7 @@ def _add_limits(parser: CommandParser) -> None:
     )
 
 
-def _add_motion(parser: CommandParser) -> None:
+def _add_motion(parser: argparse.ArgumentParser) -> None:
     """Add the options for the motion, the noise of the efforts, and the rate of the CSV file."""
     parser.add_argument(
         '--duration',
@@ -158,7 +156,6 @@ def _add_motion(parser: CommandParser) -> None:
     )
     parser.add_argument(
         '--rate',
-        group=RESULT,
         type=_positive,
         default=100.0,
         metavar='HZ',
@@ -166,7 +163,7 @@ def _add_motion(parser: CommandParser) -> None:
     )
 
 
-def _add_files(parser: CommandParser) -> None:
+def _add_files(parser: argparse.ArgumentParser) -> None:
     """Add the options for the files to write."""
     arguments.add_output(
         parser, '--csv', 'the motion as CSV (default: <name of the URDF>_excite.csv)'

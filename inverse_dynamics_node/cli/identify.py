@@ -22,7 +22,6 @@ from ..robot.kinematics import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments
-from .arguments import CommandParser, ROBOT
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, write_file
 from .pictures.identify import draw
@@ -50,9 +49,9 @@ exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments; 3 th
 was not accepted, and --strict was given."""
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'identify',
         'Identify masses, centres of mass, inertias, friction and armature from '
         'recordings, and write a calibrated URDF and a picture.',
@@ -81,7 +80,6 @@ def make_parser() -> CommandParser:
     arguments.add_output(parser, '--json', 'the report as JSON')
     parser.add_argument(
         '--fixed',
-        group=ROBOT,
         nargs='+',
         default=[],
         metavar='LINK',

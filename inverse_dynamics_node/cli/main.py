@@ -152,7 +152,7 @@ def _run(arguments: list[str]) -> int:
     # Imported here, so that Ctrl-C ends the slow import without a traceback.
     module = import_module(f'.{command}', __package__)
     others, ros_arguments = _split(others)
-    options = module.make_parser().parse(others)
+    options = module.make_parser().parse_args(others)
     options.ros_arguments = ros_arguments
     code: int = module.run(options)
     return code

@@ -23,7 +23,6 @@ from ..report.payload_report import (
 )
 from ..robot.kinematics import last_link
 from . import arguments
-from .arguments import CommandParser, RESULT
 from .console import progress, say, show, waiting
 from .nodes import choose_node, node_name
 from .output_files import check_outputs, output_path, OutputError
@@ -57,9 +56,9 @@ centre of mass; 130 ended by Ctrl-C."""
 _NOT_SHOWN = 3
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'payload',
         'Measure the mass and centre of mass of a payload from two recordings of the same motion, '
         'with and without the payload. The command prints the payload as a message for the node '
@@ -96,12 +95,9 @@ def make_parser() -> CommandParser:
     arguments.add_link(parser)
     arguments.add_gravity(parser)
     arguments.add_node_parameters(parser)
-    parser.add_argument(
-        '--json', group=RESULT, action='store_true', help='print the result as JSON'
-    )
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
     parser.add_argument(
         '--apply',
-        group=RESULT,
         nargs='?',
         const=True,
         type=node_name,

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..simulation.drivers import DRIVERS, TORQUES
-from .arguments import CommandParser
+from .arguments import new_parser
 
 EPILOG = """\
 The robot publishes joint_states with efforts. At first, a position controller holds the robot.
@@ -43,13 +43,12 @@ unless ROS_AUTOMATIC_DISCOVERY_RANGE is set.
 exit code: 0 stopped; 1 the robot could not run; 2 invalid arguments."""
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = new_parser(
         'simulate',
         'Simulate a robot that has the topics of a real one.',
         EPILOG.format(drivers='\n'.join(map(_line, DRIVERS))),
-        own='simulation',
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument(

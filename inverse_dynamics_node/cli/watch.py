@@ -25,7 +25,6 @@ from ..analysis.diagnosis.live import (
 from ..control.status import EffortsStatus, Level, ModelStatus
 from ..report.agreement_text import sentence
 from . import arguments
-from .arguments import CommandParser, RESULT
 from .live_view import as_json, as_line, LiveView
 from .nodes import choose_node, MOST_DISCOVERY, node_name, only_one
 from .recordings import reported_convention
@@ -65,9 +64,9 @@ _FRAME = 0.25  # [s]; time between two updates of the screen
 _LOST = 3.5  # [s]; longest gap between diagnostics, which are sent once a second
 
 
-def make_parser() -> CommandParser:
+def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = CommandParser(
+    parser = arguments.new_parser(
         'watch',
         'Show the joints and the state of a running node, and whether its model '
         'agrees with the efforts that the robot measures. The command only subscribes to topics. '
@@ -83,7 +82,6 @@ def make_parser() -> CommandParser:
     )
     parser.add_argument(
         '--for',
-        group=RESULT,
         dest='duration',
         type=arguments.positive,
         metavar='SECONDS',
@@ -91,7 +89,6 @@ def make_parser() -> CommandParser:
     )
     parser.add_argument(
         '--json',
-        group=RESULT,
         action='store_true',
         help='print one JSON object per second (see doc/watch.md)',
     )

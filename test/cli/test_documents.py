@@ -65,7 +65,7 @@ def commands_of(page):
 
 
 def parse(command, options):
-    import_module(f'inverse_dynamics_node.cli.{command}').make_parser().parse(options)
+    import_module(f'inverse_dynamics_node.cli.{command}').make_parser().parse_args(options)
 
 
 def test_commands_in_the_documents_exist():

@@ -94,7 +94,7 @@ def test_reports_peaks_and_writes_table_and_picture(tmp_path, write, capsys, siz
 
 
 def test_written_files_give_the_same_report(tmp_path, write, capsys):
-    options = ['--no-picture', '--payload', '1.5,0,0,0.1']
+    options = ['--no-picture', '--force', '--payload', '1.5,0,0,0.1']
     peaks = []
     for path, *more in (
         (write(LISTS), '--trajectory-out', 'out.yaml'),
@@ -107,7 +107,14 @@ def test_written_files_give_the_same_report(tmp_path, write, capsys):
 
 
 def test_trajectory_out_is_a_message(tmp_path, write):
-    arguments = [str(STANFORD), str(write(ECHO)), '--no-picture', '--trajectory-out', 'out.yaml']
+    arguments = [
+        str(STANFORD),
+        str(write(ECHO)),
+        '--no-picture',
+        '--force',
+        '--trajectory-out',
+        'out.yaml',
+    ]
     assert main(['effort', *arguments]) == 0
     message = yaml.safe_load((tmp_path / 'out.yaml').read_text())
     assert message['joint_names'] == ['joint_2', 'joint_3']
@@ -128,7 +135,14 @@ def test_trajectory_out_fills_a_message_of_ros(tmp_path, write):
     from builtin_interfaces.msg import Duration
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-    arguments = [str(STANFORD), str(write(ECHO)), '--no-picture', '--trajectory-out', 'out.yaml']
+    arguments = [
+        str(STANFORD),
+        str(write(ECHO)),
+        '--no-picture',
+        '--force',
+        '--trajectory-out',
+        'out.yaml',
+    ]
     assert main(['effort', *arguments]) == 0
     fields = yaml.safe_load((tmp_path / 'out.yaml').read_text())
     points = fields.pop('points')
@@ -141,14 +155,14 @@ def test_trajectory_out_fills_a_message_of_ros(tmp_path, write):
 
 def test_strict_fails_beyond_a_limit(write, capsys):
     path = str(write(LISTS.replace('0.5, 1]', '0.05, 0.1]')))
-    arguments = ['effort', str(STANFORD), path, '--no-picture']
+    arguments = ['effort', str(STANFORD), path, '--no-picture', '--force']
     assert main(arguments) == 0
     output = capsys.readouterr().out
     assert 'beyond: effort, speed' in output
     assert '\n\nThe motion exceeds limits: up to ' in output
     assert main([*arguments, '--strict']) == 3
     slow = str(write(LISTS.replace('0.5, 1]', '5, 10]')))
-    assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
+    assert main(['effort', str(STANFORD), slow, '--no-picture', '--force', '--strict']) == 0
     last = capsys.readouterr().out.split('\n\n')[-1]
     assert ' '.join(last.split()) == (
         'The motion stays within the known limits: up to 32% of the effort limit of joint_2, '
@@ -158,18 +172,26 @@ def test_strict_fails_beyond_a_limit(write, capsys):
 
 def test_warns_about_positions_in_degrees(write, capsys):
     degrees = LISTS.replace('[-1.0, 0.4], [-1.5', '[-57.3, 0.4], [-70').replace('[-1.0', '[-57.3')
-    assert main(['effort', str(STANFORD), str(write(degrees)), '--no-picture']) == 0
+    assert main(['effort', str(STANFORD), str(write(degrees)), '--no-picture', '--force']) == 0
     output = capsys.readouterr().out
     words = ' '.join(output.split())
     assert 'joint_2 outside the position limits.' in words
     assert re.search(r'joint_2 is at -7\d(\.\d+)? rad, outside its limits .*degrees\?\)', words)
     assert re.search(r'joint_2: the (effort|speed) is [\d.]+ times its limit', words)
-    assert main(['effort', str(STANFORD), str(write(LISTS)), '--no-picture']) == 0
+    assert main(['effort', str(STANFORD), str(write(LISTS)), '--no-picture', '--force']) == 0
     assert 'warning' not in capsys.readouterr().out
 
 
 def test_the_link_of_the_payload_is_named(write, capsys):
-    arguments = ['effort', str(STANFORD), str(write(LISTS)), '--no-picture', '--payload', '2']
+    arguments = [
+        'effort',
+        str(STANFORD),
+        str(write(LISTS)),
+        '--no-picture',
+        '--force',
+        '--payload',
+        '2',
+    ]
     for options, link in (([], 'tool0'), (['--link', 'link_3'], 'link_3')):
         assert main([*arguments, *options]) == 0
         assert f"payload 2 kg on link '{link}'; " in capsys.readouterr().out
@@ -181,7 +203,10 @@ def test_payload_friction_and_positions_change_the_result(tmp_path, write, capsy
     urdf.write_text(text.replace('<limit', '<dynamics damping="5"/><limit'))
     tables = []
     for options in ([], ['--friction'], ['--payload', '3'], ['--at', 'joint_5=1.5']):
-        assert main(['effort', str(urdf), str(write(LISTS)), '--no-picture', *options]) == 0
+        assert (
+            main(['effort', str(urdf), str(write(LISTS)), '--no-picture', '--force', *options])
+            == 0
+        )
         tables.append(capsys.readouterr().out.split('Peaks')[1])
     assert len(set(tables)) == 4
 
@@ -412,7 +437,7 @@ def test_reads_a_recorded_trajectory(record, capsys):
     assert notes == ('topic /controller/joint_trajectory: trajectory 1 of 2',)
     (file,) = [path for path in bag.iterdir() if path.suffix in ('.mcap', '.db3')]
     assert np.array_equal(read(file).trajectory.positions, trajectory.positions)
-    assert main(['effort', str(STANFORD), str(bag), '--no-picture']) == 0
+    assert main(['effort', str(STANFORD), str(bag), '--no-picture', '--force']) == 0
     assert Path('bag_efforts.csv').exists()
 
 
@@ -449,7 +474,7 @@ def test_measured_states_may_be_smoothed(record, rng, capsys):
     peaks = []
     bag = record(messages)
     for options in ([], ['--smooth', '5']):
-        assert main(['effort', str(STANFORD), str(bag), '--no-picture', *options]) == 0
+        assert main(['effort', str(STANFORD), str(bag), '--no-picture', '--force', *options]) == 0
         output = capsys.readouterr().out
         peaks.append(abs(float(re.search(r'joint_1 +(\S+) N m', output)[1])))
     assert 'smoothed at 5 Hz' in output
@@ -492,7 +517,15 @@ def test_joint_states_are_preferred_to_single_points(record, capsys):
     assert len(trajectory.times) == 5
     assert notes[0] == 'topic /joint_states'
     assert notes[-1].endswith('have a single point are not used: /node/reference')
-    command = ['effort', str(STANFORD), str(bag), '--no-picture', '--topic', '/node/reference']
+    command = [
+        'effort',
+        str(STANFORD),
+        str(bag),
+        '--no-picture',
+        '--force',
+        '--topic',
+        '/node/reference',
+    ]
     assert main(command) == 0
     output = capsys.readouterr().out
     assert '  1 point in 0 s, 2 joints\n' in output

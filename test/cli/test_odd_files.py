@@ -95,7 +95,7 @@ def test_times_of_a_clock_count_from_the_first_point(name, here, capsys):
                 f'{t},{",".join(map(str, row))}\n' for t, row in zip(times, rows, strict=True)
             )
         )
-        assert main(['effort', str(STANFORD), name, '--no-picture']) == 0
+        assert main(['effort', str(STANFORD), name, '--no-picture', '--force']) == 0
         reports.append(capsys.readouterr().out)
     assert 'times are counted from the first point, which was at 1700000000.250 s' in reports[1]
     assert 'in 0.25 s' in reports[0]

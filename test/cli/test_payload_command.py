@@ -94,7 +94,7 @@ def test_efforts_without_gravity_need_an_empty_run(here, capsys):
     ('arguments', 'words'),
     [
         ('loaded.csv', '--record loaded.csv already exists'),
-        ('loaded.csv --force --empty loaded.csv', 'is the input loaded.csv, which is never'),
+        ('loaded.csv --force --empty loaded.csv', 'loaded.csv is an input, which is never'),
         ('loaded.mcap', "LOADED is 'loaded.mcap', but --record writes a .csv file"),
         ('nowhere/loaded.csv', "folder 'nowhere' does not exist"),
     ],
