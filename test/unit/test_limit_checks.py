@@ -40,63 +40,65 @@ def sentences(robot, positions, names=()):
     return [str(finding) for finding in findings]
 
 
-def test_degrees_are_recognised(robot):
+def worst(values):
+    """Return a table of positions of joint2."""
+    table = np.zeros((len(values), 4))
+    table[:, 1] = values
+    return table
+
+
+AT_57 = 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
+POSITIONS = [
+    # positions, names of their columns, sentences
+    ([0.0, 57.3, 0.0, 0.0], (), [AT_57]),
+    # close to the limits, no number, no limits, and a joint that cannot move
+    *(([1000.0, q2, 0.049, 5.0], (), []) for q2 in (-3.5, 2.97, 3.5, math.nan, math.inf)),
+    # outside of the limits, but not in degrees
+    (
+        [0.0, 4.0, -0.5, 0.0],
+        (),
+        [
+            'joint2 is at 4 rad, outside its limits -2.97 to 2.97',
+            'slide is at -0.5 m, outside its limits 0 to 0.04',
+        ],
+    ),
+    ([0.0, 300.0, 0, 0], (), ['joint2 is at 300 rad, outside its limits -2.97 to 2.97']),
+    # degrees slightly outside
+    (
+        [0, -180, 0, 0],
+        (),
+        ['joint2 is at -180 rad, outside its limits -2.97 to 2.97 (in degrees?)'],
+    ),
+    ([0, 180, 0, 0], (), ['joint2 is at 180 rad, outside its limits -2.97 to 2.97 (in degrees?)']),
+    # the worst of many, on either side
+    (worst([-4.2, 4.1]), (), ['joint2 is at -4.2 rad, outside its limits -2.97 to 2.97']),
+    (worst([-4.1, 4.2]), (), ['joint2 is at 4.2 rad, outside its limits -2.97 to 2.97']),
+    (worst([math.nan, 4.0, 4.3]), (), ['joint2 is at 4.3 rad, outside its limits -2.97 to 2.97']),
+    (np.zeros((3, 0, 4)), (), []),
+    # by names
+    (
+        [[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]],
+        ('joint2', 'slide', 'wheel'),
+        [AT_57, 'slide is at 2 m, outside its limits 0 to 0.04'],
+    ),
+    (
+        [5.0, 100.0, 4.0],
+        ('stuck', 'joint1', 'joint2'),
+        ['joint2 is at 4 rad, outside its limits -2.97 to 2.97'],
+    ),
+]
+
+
+@pytest.mark.parametrize(('positions', 'names', 'expected'), POSITIONS)
+def test_positions_outside_the_limits_are_reported(robot, positions, names, expected):
+    assert sentences(robot, positions, names) == expected
+
+
+def test_findings_have_numbers(robot):
     (finding,) = implausible_positions(robot, [0.0, 57.3, 0.0, 0.0])
     assert finding[:5] == ('joint2', 57.3, -2.97, 2.97, True)
-    text = 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
-    assert str(finding) == text
-
-
-@pytest.mark.parametrize('q2', [-3.5, 2.97, 3.5, math.nan, math.inf])
-def test_positions_close_to_the_limits_are_tolerated(robot, q2):
-    assert sentences(robot, [1000.0, q2, 0.049, 5.0]) == []
-
-
-def test_other_positions_outside_the_limits_are_reported_without_a_hint(robot):
-    assert sentences(robot, [0.0, 4.0, -0.5, 0.0]) == [
-        'joint2 is at 4 rad, outside its limits -2.97 to 2.97',
-        'slide is at -0.5 m, outside its limits 0 to 0.04',
-    ]
-    assert sentences(robot, [0.0, 300.0, 0.0, 0.0]) == [
-        'joint2 is at 300 rad, outside its limits -2.97 to 2.97'
-    ]
-
-
-def test_the_worst_of_many_positions_is_reported(robot):
-    table = np.zeros((3, 5, 4))
-    table[1, 2, 1], table[2, 3, 1], table[0, 0, 1] = 40.0, -90.0, math.nan
-    (finding,) = implausible_positions(robot, table)
-    assert finding.position == -90.0
-    assert implausible_positions(robot, table[:, :0]) == []
-
-
-def test_names_of_the_columns_may_be_given(robot):
-    table = [[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]]
-    assert sentences(robot, table, ['joint2', 'slide', 'wheel']) == [
-        'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)',
-        'slide is at 2 m, outside its limits 0 to 0.04',
-    ]
     with pytest.raises(ValueError, match=r'shape \(2, 3\), expected \(\.\.\., 4\)'):
-        implausible_positions(robot, table)
-
-
-@pytest.mark.parametrize('degrees', [-180.0, 180.0])
-def test_degrees_slightly_outside_the_limits_are_recognised(robot, degrees):
-    (finding,) = implausible_positions(robot, [0.0, degrees, 0.0, 0.0])
-    assert finding.looks_like_degrees
-
-
-def test_the_position_furthest_outside_is_the_worst_on_either_side(robot):
-    table = np.zeros((2, 4))
-    table[:, 1] = -4.2, 4.1
-    assert implausible_positions(robot, table)[0].position == -4.2
-    table[:, 1] = -4.1, 4.2
-    assert implausible_positions(robot, table)[0].position == 4.2
-
-
-def test_joints_after_one_without_limits_are_checked(robot):
-    names = ['stuck', 'joint1', 'joint2']
-    assert len(sentences(robot, [5.0, 100.0, 4.0], names)) == 1
+        implausible_positions(robot, np.zeros((2, 3)))
 
 
 def test_a_base_link_with_the_name_of_a_joint_does_not_matter():
@@ -108,7 +110,7 @@ def test_a_base_link_with_the_name_of_a_joint_does_not_matter():
 
 def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
     degrees, other = position_warnings(robot, [2.0, 57.3], ['slide', 'joint2'])
-    assert str(degrees) == 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
+    assert str(degrees) == AT_57
     assert degrees.hint == 'convert the positions to radians'
     assert str(other) == 'slide is at 2 m, outside its limits 0 to 0.04'
     assert other.hint.startswith('check units (rad, m), zero positions, the order of the joints')

@@ -3,14 +3,17 @@
 import math
 import os
 from pathlib import Path
+import re
 import time
 
 from inverse_dynamics_node.errors import UrdfError
 from inverse_dynamics_node.robot.urdf import load_urdf
 from inverse_dynamics_node.robot.urdf import xml as urdf_xml
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from robot_files import NOTHING_MOVES, OUR_ROBOTS
+from scipy.spatial.transform import Rotation
 
 # Loads without a warning. Each test below changes one place of it.
 GOOD = """\
@@ -60,6 +63,10 @@ J2_DYNAMICS = '<dynamics damping="0.5" friction="0.25"/>'
 NAME = 'name="good"'
 VERSION_1_1 = NAME, NAME + ' version="1.1"'
 L1_MASS = '<mass value="2.0"/>'
+L2_INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>'
+L2_INERTIAL = f'<inertial>\n      <mass value="1"/>\n      {L2_INERTIA}\n    </inertial>'
+L3 = '<link name="l3"/>'
+J1_LIMIT = '<limit lower="-1" upper="1" effort="10" velocity="3"/>'
 L1_INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>'
 
 
@@ -89,12 +96,6 @@ def fixed(name, parent, child):
     )
 
 
-def test_valid_robot_loads_without_a_warning():
-    robot = load_urdf(GOOD)
-    assert robot.warnings == ()
-    assert robot.joint_names == ('j1', 'j2')
-
-
 # ---- Not a file, not XML, not a URDF -------------------------------------------------------
 
 
@@ -116,16 +117,6 @@ def test_unreadable_paths_are_reported(tmp_path, make_path):
         load_urdf(make_path(missing))
 
 
-def test_error_contains_the_reason_of_the_operating_system(tmp_path, monkeypatch):
-    def refuse(*_):
-        raise PermissionError(13, 'Permission denied')
-
-    path = tmp_path / 'secret.urdf'
-    path.write_text(GOOD)
-    monkeypatch.setattr('builtins.open', refuse)
-    assert problems_of(path) == ('cannot be read: Permission denied',)
-
-
 @pytest.mark.parametrize(
     ('text', 'words'),
     [
@@ -134,9 +125,18 @@ def test_error_contains_the_reason_of_the_operating_system(tmp_path, monkeypatch
         ('{"a": 1}', "XML text must start with '<'"),
         ('a' * 5000, "XML text must start with '<'"),
         ('a\0b', 'cannot be read: '),
+        ('<sdf version="1.6"><model name="m"/></sdf>', 'is <sdf>, expected <robot> (this is SDF)'),
+        ('<mujoco/>', 'root element is <mujoco>, expected <robot> (this is MJCF)'),
+        ('<model name="m"/>', 'root element is <model>, expected <robot>'),
+        ('<html><p>404</p></html>', 'root element is <html>, expected <robot> (this is HTML)'),
+        ('<!doctype html>\n<html><p>Not found<br></html>', 'DOCTYPE/DTD is not allowed'),
+        ('<x:robot xmlns:x="y" name="r"/>', 'root element is <x:robot>, expected <robot>'),
+        ('<Robot name="r"/>', 'root element is <Robot>, expected <robot>'),
+        ('<robot name="r"/>', 'the robot has no links'),
+        ('<robot name="r"><link name="b"/></robot>', 'one link and no joints: nothing to command'),
     ],
 )
-def test_text_that_is_neither_xml_nor_a_path_is_rejected(text, words):
+def test_text_that_is_neither_a_path_nor_a_robot_is_rejected(text, words):
     assert words in problems_of(text)[0]
 
 
@@ -159,7 +159,8 @@ def test_empty_file_is_rejected(tmp_path, data):
         (GOOD[:400], 'not well-formed XML: '),
         (GOOD.removesuffix('</robot>\n'), 'not well-formed XML: Premature end of data'),
         (edited(('</link>\n  <link name="l3"/>', '<link name="l3"/>')), 'Opening and ending tag'),
-        (edited(('value="2.0"', 'value=2.0')), 'not well-formed XML: AttValue'),
+        (edited(('value="2.0"', 'value=2.0')), 'AttValue'),
+        (edited(('value="2.0"', 'value=2.0')), 'line 7, column 19'),
         (edited(('value="2.0"', 'value="2.0" value="3"')), 'Attribute value redefined'),
         (GOOD + '<robot/>', 'not well-formed XML: Extra content'),
         (edited(('name="good"', 'name="a & b"')), 'not well-formed XML: xmlParseEntityRef'),
@@ -185,26 +186,6 @@ def test_malformed_xml_is_one_problem_with_a_line(tmp_path, data, words):
     assert 'line ' in problem
 
 
-def test_syntax_error_gives_line_and_column():
-    (problem,) = problems_of(edited(('value="2.0"', 'value=2.0')))
-    assert 'line 7, column 19' in problem
-
-
-@pytest.mark.parametrize(
-    ('text', 'words'),
-    [
-        ('<sdf version="1.6"><model name="m"/></sdf>', 'is <sdf>, expected <robot> (this is SDF)'),
-        ('<mujoco/>', 'root element is <mujoco>, expected <robot> (this is MJCF)'),
-        ('<model name="m"/>', 'root element is <model>, expected <robot>'),
-        ('<html><p>404</p></html>', 'root element is <html>, expected <robot> (this is HTML)'),
-        ('<x:robot xmlns:x="y" name="r"/>', 'root element is <x:robot>, expected <robot>'),
-        ('<Robot name="r"/>', 'root element is <Robot>, expected <robot>'),
-    ],
-)
-def test_wrong_root_element_is_named(text, words):
-    assert words in problems_of(text)[0]
-
-
 LAUGHS = '<!ENTITY a0 "ha">' + ''.join(
     f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 10)
 )
@@ -228,11 +209,6 @@ def test_doctype_is_rejected(doctype):
         assert problems_of(text)[0] == 'DOCTYPE/DTD is not allowed in a URDF'
 
 
-def test_html_page_is_rejected_for_its_doctype():
-    page = '<!doctype html>\n<html><p>Not found<br></html>'
-    assert problems_of(page)[0] == 'DOCTYPE/DTD is not allowed in a URDF'
-
-
 @pytest.mark.parametrize('body', ['<link name="&a9;"/>', '&a9;'])
 def test_billion_laughs_are_rejected_quickly(body):
     started = time.process_time()
@@ -241,17 +217,8 @@ def test_billion_laughs_are_rejected_quickly(body):
     assert time.process_time() - started < 1.0
 
 
-def test_external_entity_is_not_read(tmp_path):
-    part = tmp_path / 'part.xml'
-    part.write_text('<link name="smuggled"/>')
-    text = edited(
-        ('<robot name', f'<!DOCTYPE r [<!ENTITY e SYSTEM "{part.as_uri()}">]><robot name'),
-        ('<link name="l3"/>', '<link name="l3"/>&e;'),
-    )
-    assert problems_of(text) == ('DOCTYPE/DTD is not allowed in a URDF',)
-
-
 def test_size_limit_applies_to_files_and_text(tmp_path, monkeypatch):
+    assert urdf_xml.MAX_BYTES == 16 * 1024 * 1024
     monkeypatch.setattr(urdf_xml, 'MAX_BYTES', 2**20)
     path = tmp_path / 'large.urdf'
     padded = GOOD + ' ' * (2**20 - len(GOOD))
@@ -262,260 +229,206 @@ def test_size_limit_applies_to_files_and_text(tmp_path, monkeypatch):
     assert problems_of(padded + ' ') == ('text is 2 MiB, limit is 1 MiB',)
 
 
-def test_size_limit_is_16_mib():
-    assert urdf_xml.MAX_BYTES == 16 * 1024 * 1024
-
-
-@pytest.mark.parametrize(('kind', 'count'), [('link', 1001), ('joint', 1001)])
-def test_too_many_elements_are_an_error_before_the_slow_steps(kind, count):
-    text = f'<robot name="r">{"".join(f"<{kind}/>" for _ in range(count))}</robot>'
-    with pytest.raises(UrdfError) as caught:
-        load_urdf(text)
-    assert caught.value.problems == (f'line 1: 1001 {kind}s, expected at most 1000',)
+@pytest.mark.parametrize('kind', ['link', 'joint'])
+def test_too_many_elements_are_an_error_before_the_slow_steps(kind):
+    text = f'<robot name="r">{f"<{kind}/>" * 1001}</robot>'
+    assert problems_of(text) == (f'line 1: 1001 {kind}s, expected at most 1000',)
 
 
 # ---- Well-formed XML, but not a valid robot ------------------------------------------------
 
+# What is replaced in GOOD, by what, and words of the only problem.
 ELEMENT_PROBLEMS = [
     # unprocessed xacro
     (
-        [('<link name="base"/>', '<xacro:property name="h" value="1"/><link name="base"/>')],
+        '<link name="base"/>',
+        '<xacro:property name="h" value="1"/><link name="base"/>',
         'line 3: unprocessed xacro element <xacro:property>; run xacro first',
     ),
-    ([('<inertial>\n      <origin', '<inertial><xacro:box/>\n      <origin')], '<xacro:box>'),
-    (
-        [('xyz="0 0 0.4"', 'xyz="${h}"')],
-        "line 27: joint 'j2' origin xyz: '${h}' looks like unprocessed xacro",
-    ),
-    ([(L1_MASS, '<mass value="$(arg m)"/>')], "mass: '$(arg m)' looks like unprocessed xacro"),
-    ([('name="l3"', 'name="${p}l3"')], "link name '${p}l3' looks like unprocessed xacro"),
-    ([('link="l2"/>\n    <o', 'link="${p}l2"/>\n    <o')], "'${p}l2' looks like unprocessed"),
+    ('<inertial>\n      <origin', '<inertial><xacro:box/>\n      <origin', '<xacro:box>'),
+    ('0 0 0.4', '${h}', "line 27: joint 'j2' origin xyz: '${h}' looks like unprocessed xacro"),
+    (L1_MASS, '<mass value="$(arg m)"/>', "mass: '$(arg m)' looks like unprocessed xacro"),
+    ('"jf"', '"${p}jf"', "joint name '${p}jf' looks like unprocessed xacro"),
+    ('link="l2"/>\n    <o', 'link="${p}l2"/>\n    <o', "'${p}l2' looks like unprocessed"),
     # names
-    ([(' name="good"', '')], 'line 2: <robot> has no name'),
-    ([('<link name="base"/>', '<link name="base"/><link/>')], 'line 3: <link> has no name'),
-    ([('<link name="base"/>', '<link name="base"/><link name=""/>')], '<link> has no name'),
-    ([('<joint name="jf"', '<joint')], 'line 32: <joint> has no name'),
-    ([('"jf"', '"j2"')], "line 32: duplicate joint name 'j2'"),
-    ([('name="l3"', 'name="l2"')], "line 17: duplicate link name 'l2'"),
+    (' name="good"', '', 'line 2: <robot> has no name'),
+    ('<link name="base"/>', '<link name="base"/><link/>', 'line 3: <link> has no name'),
+    ('<link name="base"/>', '<link name="base"/><link name=""/>', '<link> has no name'),
+    ('<joint name="jf"', '<joint', 'line 32: <joint> has no name'),
+    ('"jf"', '"j2"', "line 32: duplicate joint name 'j2'"),
+    ('</robot>', '<link name="l2"/></robot>', "line 36: duplicate link name 'l2'"),
     # references
     (
-        [('<parent link="l1"/>', '<parent link="nope"/>')],
+        '<parent link="l1"/>',
+        '<parent link="nope"/>',
         "line 25: joint 'j2': parent link 'nope' does not exist; links are base, l1, l2, l3",
     ),
-    ([('<child link="l1"/>', '<child link="no"/>')], "joint 'j1': child link 'no' does not exist"),
-    ([('<parent link="l1"/>', '')], 'joint \'j2\': <parent link="..."/> is missing'),
-    ([('<child link="l1"/>', '<child/>')], 'joint \'j1\': <child link="..."/> is missing'),
-    (
-        [('<parent link="l1"/>', '<parent link="l2"/>')],
-        "joint 'j2': parent and child are the same link 'l2'",
-    ),
+    ('<child link="l1"/>', '<child link="no"/>', "joint 'j1': child link 'no' does not exist"),
+    ('<parent link="l1"/>', '', 'joint \'j2\': <parent link="..."/> is missing'),
+    ('<child link="l1"/>', '<child/>', 'joint \'j1\': <child link="..."/> is missing'),
+    ('<parent link="l1"/>', '<parent link="l2"/>', "parent and child are the same link 'l2'"),
     # the tree
     (
-        [('</robot>', fixed('j4', 'base', 'l3') + '</robot>')],
+        '</robot>',
+        fixed('j4', 'base', 'l3') + '</robot>',
         "line 36: link 'l3' has two parent joints: 'jf' and 'j4'",
     ),
-    ([('</robot>', link('island') + '</robot>')], "2 root links: 'base', 'island'; expected one"),
+    ('</robot>', link('island') + '</robot>', "2 root links: 'base', 'island'; expected one"),
     (
-        [('<parent link="base"/>', '<parent link="l3"/>'), ('<link name="base"/>', '')],
-        'no root link: the links form a cycle',
-    ),
-    (
-        [('<parent link="base"/>', '<parent link="l3"/>')],
+        '<parent link="base"/>',
+        '<parent link="l3"/>',
         "3 links are not connected to root 'base', because of a cycle: 'l1', 'l2', 'l3'",
     ),
     # types
-    ([('"prismatic"', '"hinge"')], "joint 'j2': type 'hinge' is not one of revolute, continuous"),
-    ([('"prismatic"', '" prismatic "')], "type ' prismatic ' is not one of"),
-    ([('"prismatic"', '"Prismatic"')], "type 'Prismatic' is not one of"),
-    ([('"prismatic"', '""')], "type '' is not one of"),
-    ([(' type="prismatic"', '')], "line 24: joint 'j2': type is missing, expected one of"),
+    ('"prismatic"', '"hinge"', "joint 'j2': type 'hinge' is not one of revolute, continuous"),
+    ('"prismatic"', '" prismatic "', "type ' prismatic ' is not one of"),
+    ('"prismatic"', '"Prismatic"', "type 'Prismatic' is not one of"),
+    ('"prismatic"', '""', "type '' is not one of"),
+    (' type="prismatic"', '', "line 24: joint 'j2': type is missing, expected one of"),
     (
-        [('"prismatic"', '"planar"')],
+        '"prismatic"',
+        '"planar"',
         "joint type 'planar' is not supported; use two prismatic joints and a continuous one",
     ),
-    ([('"prismatic"', '"floating"')], "joint type 'floating' is not supported; remove this joint"),
-    # mass
-    ([(L1_MASS, '')], 'line 5: link \'l1\' inertial: <mass value="..."/> is missing'),
-    ([(L1_MASS, '<mass/>')], 'link \'l1\' inertial: <mass value="..."/> is missing'),
-    ([(L1_MASS, '<mass>2</mass>')], 'link \'l1\' inertial: <mass value="..."/> is missing'),
-    *(
-        (
-            [(L1_MASS, f'<mass value="{bad}"/>')],
-            f"line 7: link 'l1' inertial mass: '{bad}' is not a finite decimal number",
-        )
-        for bad in (
-            '',
-            'heavy',
-            '2,5',
-            '2.0kg',
-            'nan',
-            'inf',
-            '-inf',
-            'infinity',
-            '1e400',
-            '1_000',
-            '0x10',
-            '1 2',
-            '\u0663',
-            '\uff12',
-            '2\xa0',
-            '1e',
-            '.',
-            '--2',
-        )
-    ),
-    ([(L1_MASS, '<mass value="-2"/>')], "link 'l1' inertial: mass -2 is negative"),
-    # inertia
-    ([(L1_INERTIA, '')], "link 'l1' inertial: <inertia> is missing"),
-    ([(L1_INERTIA, '<inertia/>')], '<inertia> lacks ixx, ixy, ixz, iyy, iyz, izz'),
+    ('"prismatic"', '"floating"', "joint type 'floating' is not supported; remove this joint"),
+    # mass and inertia
+    (L1_MASS, '', 'line 5: link \'l1\' inertial: <mass value="..."/> is missing'),
+    (L1_MASS, '<mass/>', 'link \'l1\' inertial: <mass value="..."/> is missing'),
+    (L1_MASS, '<mass>2</mass>', 'link \'l1\' inertial: <mass value="..."/> is missing'),
+    (L1_MASS, '<mass value="-2"/>', "link 'l1' inertial: mass -2 is negative"),
+    (L1_INERTIA, '', "link 'l1' inertial: <inertia> is missing"),
+    (L1_INERTIA, '<inertia/>', '<inertia> lacks ixx, ixy, ixz, iyy, iyz, izz'),
     (
-        [(L1_INERTIA, L1_INERTIA.replace('ixx="0.02" ', ''))],
+        L1_INERTIA,
+        L1_INERTIA.replace('ixx="0.02" ', ''),
         "line 8: link 'l1' inertial: <inertia> lacks ixx",
     ),
+    # versions
+    (NAME, NAME + ' version="2.0"', "line 2: URDF version '2.0' is not supported; expected"),
+    (NAME, NAME + ' version="1"', "URDF version '1' is not supported; expected one of 1.0"),
+    (NAME, NAME + ' version="1.1.0"', "URDF version '1.1.0' is not supported"),
+    (NAME, NAME + ' version=""', "URDF version '' is not supported"),
     (
-        [(L1_INERTIA, L1_INERTIA.replace('0.01', 'nan'))],
-        "link 'l1' inertial inertia izz: 'nan' is not a finite decimal number",
-    ),
-    # vectors
-    (
-        [('xyz="0 0 0.4"', 'xyz="0,0,0.3"')],
-        "joint 'j2' origin xyz: expected 3 numbers, got 1 in '0,0,0.3' (use spaces, not commas)",
-    ),
-    ([('xyz="0 0 0.4"', 'xyz="0, 0, 0.3"')], "origin xyz: '0,' is not a finite decimal number"),
-    ([('xyz="0 0 0.4"', 'xyz="0.3"')], "origin xyz: expected 3 numbers, got 1 in '0.3'"),
-    ([('xyz="0 0 0.4"', 'xyz=""')], "origin xyz: expected 3 numbers, got 0 in ''"),
-    ([('rpy="0 0 0.5"', 'rpy="0 0 0 1"')], "joint 'j2' origin rpy: expected 3 numbers, got 4"),
-    ([('xyz="0 0 0.4"', 'xyz="0 0 nan"')], "origin xyz: 'nan' is not a finite decimal number"),
-    ([('xyz="0 0 0.2"', 'xyz="0 1"')], "link 'l1' inertial origin xyz: expected 3 numbers, got 2"),
-    # versions and quaternions
-    ([(NAME, NAME + ' version="2.0"')], "line 2: URDF version '2.0' is not supported; expected"),
-    ([(NAME, NAME + ' version="1"')], "URDF version '1' is not supported; expected one of 1.0"),
-    ([(NAME, NAME + ' version="1.1.0"')], "URDF version '1.1.0' is not supported"),
-    ([(NAME, NAME + ' version=""')], "URDF version '' is not supported"),
-    (
-        [(J2_ORIGIN, '<origin quat_xyzw="0 0 0 1"/>')],
+        J2_ORIGIN,
+        '<origin quat_xyzw="0 0 0 1"/>',
         'line 27: joint \'j2\' origin: quat_xyzw needs <robot version="1.1"> instead of 1.0',
     ),
-    (
-        [(NAME, NAME + ' version="1.0"'), ('rpy="0 0 0"', 'quat_xyzw="0 0 0 1"')],
-        "line 6: link 'l1' inertial origin: quat_xyzw needs",
-    ),
-    (
-        [VERSION_1_1, (J2_ORIGIN, '<origin rpy="0 0 0" quat_xyzw="0 0 0 1"/>')],
-        "line 27: joint 'j2' origin has both rpy and quat_xyzw",
-    ),
-    (
-        [VERSION_1_1, (J2_ORIGIN, '<origin quat_xyzw="0 0 1"/>')],
-        "joint 'j2' origin quat_xyzw: expected 4 numbers, got 3 in '0 0 1'",
-    ),
-    (
-        [VERSION_1_1, (J2_ORIGIN, '<origin quat_xyzw="0 0 0 0"/>')],
-        "joint 'j2' origin quat_xyzw: '0 0 0 0' has norm 0, expected 1",
-    ),
-    (
-        [VERSION_1_1, ('rpy="0 0 0"', 'quat_xyzw="0 0 90 1"')],
-        "link 'l1' inertial origin quat_xyzw: '0 0 90 1' has norm 90.0056, expected 1",
-    ),
     # axis
-    ([(J2_AXIS, '<axis xyz="0 0 0"/>')], "joint 'j2': the length of axis '0 0 0' is almost zero"),
-    ([(J2_AXIS, '<axis xyz="0 1e-9 0"/>')], "joint 'j2': the length of axis '0 1e-9 0' is almost"),
-    ([(J2_AXIS, '<axis/>')], "joint 'j2': <axis> lacks 'xyz'"),
-    ([(J2_AXIS, '<axis rpy="0 0 1"/>')], "joint 'j2': <axis> lacks 'xyz'"),
-    ([(J2_AXIS, '<axis xyz="0 1"/>')], "joint 'j2' axis xyz: expected 3 numbers, got 2"),
-    ([(J2_AXIS, '<axis xyz="0,0,1"/>')], 'axis xyz: expected 3 numbers, got 1 in'),
-    ([(J2_AXIS, '<axis xyz="0 nan 1"/>')], "axis xyz: 'nan' is not a finite decimal number"),
+    (J2_AXIS, '<axis xyz="0 0 0"/>', "joint 'j2': the length of axis '0 0 0' is almost zero"),
+    (J2_AXIS, '<axis xyz="0 1e-9 0"/>', "joint 'j2': the length of axis '0 1e-9 0' is almost"),
+    (J2_AXIS, '<axis/>', "joint 'j2': <axis> lacks 'xyz'"),
+    (J2_AXIS, '<axis rpy="0 0 1"/>', "joint 'j2': <axis> lacks 'xyz'"),
     # limits
-    ([(J2_LIMIT, '')], "line 24: joint 'j2': <limit> is required for prismatic joints"),
-    ([(J2_LIMIT, ''), ('"prismatic"', '"revolute"')], '<limit> is required for revolute joints'),
-    ([(' effort="20"', '')], "joint 'j2': <limit> lacks effort"),
-    ([(' effort="20" velocity="1"', '')], "joint 'j2': <limit> lacks effort, velocity"),
-    ([('lower="0" upper="0.5"', 'lower="1" upper="-1"')], 'lower limit 1 exceeds upper limit -1'),
-    ([('lower="-1" upper="1"', 'upper="-1"')], 'lower limit 0 exceeds upper limit -1; if there'),
-    ([('upper="0.5"', 'upper="inf"')], "limit upper: 'inf' is not a finite decimal number"),
-    ([('upper="0.5"', 'upper="high"')], "limit upper: 'high' is not a finite decimal number"),
-    ([('velocity="1"', 'velocity="nan"')], "limit velocity: 'nan' is not a finite decimal number"),
-    ([('effort="20"', 'effort="-10"')], "joint 'j2': limit effort -10 is negative"),
-    ([('effort="20"', 'effort="-1"')], 'limit effort -1 is negative; if there is no limit, write'),
-    ([('velocity="1"', 'velocity="-1"')], "joint 'j2': limit velocity -1 is negative"),
+    (J2_LIMIT, '', "line 24: joint 'j2': <limit> is required for prismatic joints"),
+    (J1_LIMIT, '', '<limit> is required for revolute joints'),
+    (' effort="20"', '', "joint 'j2': <limit> lacks effort"),
+    (' effort="20" velocity="1"', '', "joint 'j2': <limit> lacks effort, velocity"),
+    ('lower="0" upper="0.5"', 'lower="1" upper="-1"', 'lower limit 1 exceeds upper limit -1'),
+    ('lower="-1" upper="1"', 'upper="-1"', 'lower limit 0 exceeds upper limit -1; if there'),
+    ('upper="0.5"', 'upper="inf"', "limit upper: 'inf' is not a finite decimal number"),
+    ('effort="20"', 'effort="-10"', "joint 'j2': limit effort -10 is negative"),
+    ('effort="20"', 'effort="-1"', 'limit effort -1 is negative; if there is no limit, write'),
+    ('velocity="1"', 'velocity="-1"', "joint 'j2': limit velocity -1 is negative"),
     # dynamics
-    (
-        [('damping="0.5"', 'damping="lots"')],
-        "line 30: joint 'j2' dynamics damping: 'lots' is not a finite decimal number",
-    ),
-    ([('friction="0.25"', 'friction="nan"')], "dynamics friction: 'nan' is not a finite"),
-    ([('damping="0.5"', 'damping="-0.5"')], "joint 'j2': dynamics damping -0.5 is negative"),
-    ([('friction="0.25"', 'friction="-1"')], "joint 'j2': dynamics friction -1 is negative"),
+    ('damping="0.5"', 'damping="-0.5"', "joint 'j2': dynamics damping -0.5 is negative"),
+    ('friction="0.25"', 'friction="-1"', "joint 'j2': dynamics friction -1 is negative"),
     # mimic
     (
-        [(J2_AXIS, J2_AXIS + '<mimic joint="nope"/>')],
+        J2_AXIS,
+        J2_AXIS + '<mimic joint="nope"/>',
         "line 28: joint 'j2' mimic: joint 'nope' does not exist; joints are j1, j2, jf",
     ),
-    ([(J2_AXIS, J2_AXIS + '<mimic joint="j2"/>')], "joint 'j2' mimics itself"),
-    ([(J2_AXIS, J2_AXIS + '<mimic joint="jf"/>')], "joint 'j2' mimics 'jf', which is fixed"),
-    ([(J2_AXIS, J2_AXIS + '<mimic/>')], "joint 'j2': <mimic> lacks joint"),
-    (
-        [(J2_AXIS, J2_AXIS + '<mimic joint="j1" multiplier="nan"/>')],
-        "joint 'j2' mimic multiplier: 'nan' is not a finite decimal number",
-    ),
-    ([(J2_AXIS, J2_AXIS + '<mimic joint="j1" offset="a"/>')], "mimic offset: 'a' is not a finite"),
-    (
-        [
-            (J2_AXIS, J2_AXIS + '<mimic joint="j1"/>'),
-            ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j2"/>'),
-        ],
-        'line 18: mimic loop: j1 -> j2 -> j1',
-    ),
+    (J2_AXIS, J2_AXIS + '<mimic joint="j2"/>', "joint 'j2' mimics itself"),
+    (J2_AXIS, J2_AXIS + '<mimic joint="jf"/>', "joint 'j2' mimics 'jf', which is fixed"),
+    (J2_AXIS, J2_AXIS + '<mimic/>', "joint 'j2': <mimic> lacks joint"),
     # the rest
     (
-        [(J2_AXIS, J2_AXIS + '<safety_controller k_position="1"/>')],
+        J2_AXIS,
+        J2_AXIS + '<safety_controller k_position="1"/>',
         "joint 'j2': <safety_controller> lacks k_velocity",
     ),
-    (
-        [('<link name="l3"/>', link('l3', '<inertial/><inertial/>'))],
-        "line 17: link 'l3': 2 <inertial> elements, expected at most one",
-    ),
-    ([(L1_MASS, L1_MASS * 3)], "link 'l1' inertial: 3 <mass> elements, expected at most one"),
-    ([(J2_AXIS, J2_AXIS * 2)], "joint 'j2': 2 <axis> elements, expected at most one"),
-    ([(L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9')], "centre of mass of 'j1' is"),
+    (L2_INERTIAL, L2_INERTIAL * 2, "line 15: link 'l2': 2 <inertial> elements, expected at most"),
+    (L1_MASS, L1_MASS * 3, "link 'l1' inertial: 3 <mass> elements, expected at most one"),
+    (J2_AXIS, J2_AXIS * 2, "joint 'j2': 2 <axis> elements, expected at most one"),
 ]
 
 
-@pytest.mark.parametrize(('edits', 'words'), ELEMENT_PROBLEMS)
-def test_problem_is_named(edits, words):
-    problems = problems_of(edited(*edits))
-    assert any(words in problem for problem in problems), problems
+@pytest.mark.parametrize(('old', 'new', 'words'), ELEMENT_PROBLEMS)
+def test_one_mistake_is_one_problem(old, new, words):
+    (problem,) = problems_of(edited((old, new)))
+    assert words in problem
 
 
-ONE_MISTAKE_ONE_PROBLEM = [
-    [('<parent link="l1"/>', '<parent link="nope"/>')],
-    [('<child link="l1"/>', '<child link="nope"/>')],
-    [('<parent link="l1"/>', '<parent link="l2"/>')],
-    [('<parent link="l1"/>', '')],
-    [(L1_MASS, '<mass value="-2"/>')],
-    [(L1_MASS, L1_MASS * 2)],
-    [(J2_LIMIT, '')],
-    [(J2_AXIS, '<axis/>')],
-    [('"prismatic"', '"floating"')],
-    [(J2_AXIS, J2_AXIS + '<mimic joint="j2"/>')],
-    [
-        (J2_AXIS, J2_AXIS + '<mimic joint="j1"/>'),
-        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j2"/>'),
-    ],
+QUATERNION_PROBLEMS = [
+    (J2_ORIGIN, 'rpy="0 0 0" quat_xyzw="0 0 0 1"', 'origin has both rpy and quat_xyzw'),
+    (J2_ORIGIN, 'quat_xyzw="0 0 1"', "quat_xyzw: expected 4 numbers, got 3 in '0 0 1'"),
+    (J2_ORIGIN, 'quat_xyzw="0 0 0 0"', "quat_xyzw: '0 0 0 0' has norm 0, expected 1"),
+    (L1_ORIGIN, 'quat_xyzw="0 0 90 1"', "quat_xyzw: '0 0 90 1' has norm 90.0056, expected 1"),
 ]
 
 
-@pytest.mark.parametrize('edits', ONE_MISTAKE_ONE_PROBLEM)
-def test_one_mistake_gives_one_problem(edits):
-    assert len(problems_of(edited(*edits))) == 1
+@pytest.mark.parametrize(('origin', 'attributes', 'words'), QUATERNION_PROBLEMS)
+def test_bad_quaternion_is_one_problem(origin, attributes, words):
+    (problem,) = problems_of(edited(VERSION_1_1, (origin, f'<origin {attributes}/>')))
+    line, subject = {J2_ORIGIN: (27, "joint 'j2'"), L1_ORIGIN: (6, "link 'l1' inertial")}[origin]
+    assert problem.startswith(f'line {line}: {subject} origin')
+    assert words in problem
 
 
-def test_single_link_without_joints_is_rejected():
-    problems = problems_of('<robot name="r"><link name="base"/></robot>')
-    assert problems == ('the robot has one link and no joints: nothing to command',)
+def test_quaternions_need_the_version():
+    text = edited((NAME, NAME + ' version="1.0"'), ('rpy="0 0 0"', 'quat_xyzw="0 0 0 1"'))
+    assert "line 6: link 'l1' inertial origin: quat_xyzw needs" in problems_of(text)[0]
 
 
-def test_robot_without_links_is_rejected():
-    assert problems_of('<robot name="r"/>') == ('the robot has no links',)
+def test_cycle_of_links_or_of_mimicking_joints_is_named():
+    text = edited(('<parent link="base"/>', '<parent link="l3"/>'), ('<link name="base"/>', ''))
+    assert 'no root link: the links form a cycle' in problems_of(text)[0]
+    master = '<axis xyz="0 1 0"/>'
+    text = edited(
+        (J2_AXIS, J2_AXIS + '<mimic joint="j1"/>'), (master, master + '<mimic joint="j2"/>')
+    )
+    assert problems_of(text) == ('line 18: mimic loop: j1 -> j2 -> j1',)
+
+
+def test_numbers_whose_product_is_infinite_are_named():
+    text = edited((L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9'))
+    assert "centre of mass of 'j1' is not finite" in problems_of(text)[0]
+
+
+MIMICKING = edited((J2_AXIS, J2_AXIS + '<mimic joint="j1" multiplier="2" offset="0.1"/>'))
+BAD_NUMBERS = (
+    *('', 'heavy', '2,5', '2.0kg', 'nan', 'inf', '-inf', 'infinity', '1e400', '1_000', '0x10'),
+    *('1 2', '\u0663', '\uff12', '2\xa0', '1e', '.', '--2'),
+)
+
+
+def test_numbers_must_be_finite_decimals():
+    places = list(re.finditer(r'\b(?!version)([a-z_]+)="(-?[\d.]+)"', MIMICKING))
+    assert len(places) == 26
+    for place in places:
+        line = MIMICKING[: place.start()].count('\n') + 1
+        name = 'mass' if place[1] == 'value' else place[1]
+        for bad in BAD_NUMBERS:
+            text = f'{MIMICKING[: place.start(2)]}{bad}{MIMICKING[place.end(2) :]}'
+            (problem,) = problems_of(text)
+            assert problem.startswith(f'line {line}: ')
+            assert problem.endswith(f" {name}: '{bad}' is not a finite decimal number")
+
+
+def test_vectors_have_three_finite_decimals():
+    vectors = list(re.finditer(r'\b(xyz|rpy)="([^"]*)"', GOOD))
+    assert len(vectors) == 6
+    for place in vectors:
+        for bad, words in (
+            ('', "expected 3 numbers, got 0 in ''"),
+            ('0.3', "expected 3 numbers, got 1 in '0.3'"),
+            ('0,0,1', "expected 3 numbers, got 1 in '0,0,1' (use spaces, not commas)"),
+            ('0 1', "expected 3 numbers, got 2 in '0 1'"),
+            ('0 0 0 1', "expected 3 numbers, got 4 in '0 0 0 1'"),
+            ('0 nan 1', "'nan' is not a finite decimal number"),
+        ):
+            (problem,) = problems_of(f'{GOOD[: place.start(2)]}{bad}{GOOD[place.end(2) :]}')
+            assert f' {place[1]}: {words}' in problem
 
 
 def test_all_problems_are_listed_in_file_order():
@@ -562,37 +475,20 @@ def test_line_numbers_above_the_limit_of_libxml2_are_omitted():
 
 # ---- Descriptions that must load -----------------------------------------------------------
 
-VISUAL = '<link name="l3"><visual>{}</visual><collision>{}</collision></link>'
+SHAPE = '<visual>{}</visual><collision>{}</collision>'
+SHAPES = [
+    ('', ''),
+    ('<geometry><box size="a b"/></geometry>', '<geometry/>'),
+    ('<geometry><capsule radius="1" length="1"/></geometry>', '<geometry/>'),
+    ('<geometry><mesh filename="/nowhere/a.stl" scale="x"/></geometry>', '<geometry/>'),
+    ('<geometry><mesh filename="file:///nowhere/a.dae"/></geometry>', ''),
+    ('<geometry><mesh filename="http://localhost:9/a.stl"/></geometry>', ''),
+    ('<geometry><mesh filename="$(find x)/a.stl"/></geometry>', ''),
+    ('<origin xyz="0 nan"/>', ''),
+]
 STILL_LOADS = {
-    'missing geometry': ('<link name="l3"/>', VISUAL.format('', '')),
-    'bad geometry': (
-        '<link name="l3"/>',
-        VISUAL.format('<geometry><box size="a b"/></geometry>', '<geometry/>'),
-    ),
-    'capsule': (
-        '<link name="l3"/>',
-        VISUAL.format('<geometry><capsule radius="1" length="1"/></geometry>', '<geometry/>'),
-    ),
-    'bad colour': (
-        '<link name="l3"/>',
-        '<material name="m"><color rgba="red"/></material><link name="l3"/>',
-    ),
-    'meshes': (
-        '<link name="l3"/>',
-        VISUAL.format(
-            '<geometry><mesh filename="/nowhere/a.stl" scale="x"/></geometry>',
-            '<geometry><mesh filename="http://localhost:9/a.stl"/></geometry>',
-        ),
-    ),
-    'file mesh': (
-        '<link name="l3"/>',
-        VISUAL.format('<geometry><mesh filename="file:///nowhere/a.dae"/></geometry>', ''),
-    ),
-    'xacro left in a mesh name': (
-        '<link name="l3"/>',
-        VISUAL.format('<geometry><mesh filename="$(find x)/a.stl"/></geometry>', ''),
-    ),
-    'bad visual origin': ('<link name="l3"/>', VISUAL.format('<origin xyz="0 nan"/>', '')),
+    **{str(shape): (L3, link('l3', SHAPE.format(*shape))) for shape in SHAPES},
+    'bad colour': (L3, '<material name="m"><color rgba="red"/></material>' + L3),
     'bad calibration': (J2_AXIS, J2_AXIS + '<calibration rising="x"/>'),
     'comments': (J2_AXIS, f'<!-- <axis xyz="bad"/> & <!DOCTYPE x> -->{J2_AXIS}'),
     'CDATA': (J2_AXIS, f'<![CDATA[ <axis xyz="bad"/> & ]]>{J2_AXIS}'),
@@ -602,11 +498,8 @@ STILL_LOADS = {
     'exponents and signs': (L1_MASS, '<mass value="+.2E+01"/>'),
     'link and joint of one name': ('"jf"', '"l1"'),
     'default namespace': ('name="good"', 'name="good" xmlns="http://www.ros.org"'),
-    'other elements': ('<link name="l3"/>', '<gazebo><a b="${c}"/></gazebo><link name="l3"/>'),
-    'transmission': (
-        '<link name="l3"/>',
-        '<transmission><joint name="j1"/><joint name="j1"/></transmission><link name="l3"/>',
-    ),
+    'other elements': (L3, '<gazebo><a b="${c}"/></gazebo>' + L3),
+    'transmission': (L3, f'<transmission>{2 * """<joint name="j1"/>"""}</transmission>{L3}'),
     'limit attributes of makers': ('effort="20"', 'effort="20" jerk="a lot"'),
     'axis of a fixed joint': ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 0"/>'),
     'limit of a fixed joint': ('<child link="l3"/>', '<child link="l3"/><limit lower="x"/>'),
@@ -678,113 +571,106 @@ def test_chain_of_999_mimic_joints_loads_quickly():
 
 # ---- Warnings ------------------------------------------------------------------------------
 
+DECLARATION = '<?xml version="1.0"?>'
+NO_INERTIA = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
 WARNINGS = [
-    ([('<?xml version="1.0"?>', '<?xml version="0.0" ?>')], 'line 1: invalid XML declaration'),
-    ([('<?xml version="1.0"?>', '<?xml?>')], 'invalid XML declaration <?xml?> is ignored'),
-    ([('<?xml version="1.0"?>', '\n<?xml version="1.0"?>')], 'invalid XML declaration'),
-    ([('<?xml version="1.0"?>', '<?xml encoding="utf-8"?>')], 'invalid XML declaration'),
+    (DECLARATION, '<?xml version="0.0" ?>', 'line 1: invalid XML declaration'),
+    (DECLARATION, '<?xml?>', 'invalid XML declaration <?xml?> is ignored'),
+    (DECLARATION, '\n' + DECLARATION, 'invalid XML declaration'),
+    (DECLARATION, '<?xml encoding="utf-8"?>', 'invalid XML declaration'),
     (
-        [(J2_AXIS, f'{J2_AXIS}<drake:rotor value="1"/>')],
+        J2_AXIS,
+        f'{J2_AXIS}<drake:rotor value="1"/>',
         'line 28: Namespace prefix drake on rotor is not defined; '
         'the element or attribute is ignored',
     ),
-    ([(J2_AXIS, '<axis xyz="0 0 1" my:unit="m"/>')], 'Namespace prefix my for unit on axis'),
+    (J2_AXIS, '<axis xyz="0 0 1" my:unit="m"/>', 'Namespace prefix my for unit on axis'),
     (
-        [('<link name="l3"/>', link('l3', '<Inertial/>'))],
+        L3,
+        link('l3', '<Inertial/>'),
         "line 17: link 'l3': <Inertial> is ignored; URDF spells it <inertial>",
     ),
-    ([('<link name="l3"/>', '<link name="l3"/><Joint/>')], 'robot: <Joint> is ignored'),
-    ([(J2_ORIGIN, '<Origin xyz="0 0 1"/>')], "joint 'j2': <Origin> is ignored; URDF spells it"),
+    (L3, L3 + '<Joint/>', 'robot: <Joint> is ignored'),
+    (J2_ORIGIN, '<Origin xyz="0 0 1"/>', "joint 'j2': <Origin> is ignored; URDF spells it"),
     (
-        [(J2_ORIGIN, '<origin xzy="0 0 1"/>')],
+        J2_ORIGIN,
+        '<origin xzy="0 0 1"/>',
         "line 27: joint 'j2' origin: attribute 'xzy' is unknown and ignored",
     ),
     (
-        [(L1_INERTIA, L1_INERTIA.replace('0.01"', '0.05"'))],
+        'izz="0.01"',
+        'izz="0.05"',
         "line 5: link 'l1' inertial: impossible inertia: one of its principal "
         'moments (0.02, 0.02, 0.05 kg m^2) exceeds',
     ),
     (
-        [(L1_INERTIA, L1_INERTIA.replace('ixy="0"', 'ixy="0.03"'))],
+        L1_INERTIA,
+        L1_INERTIA.replace('ixy="0"', 'ixy="0.03"'),
         "link 'l1' inertial: a principal moment of inertia is negative (-0.01, 0.01, 0.05 kg m^2)",
     ),
     (
-        [(L1_MASS, '<mass value="0"/>')],
+        L1_MASS,
+        '<mass value="0"/>',
         "link 'l1' inertial: the mass is zero, but the inertia is not; the inertia is kept",
     ),
     (
-        [
-            (
-                '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>',
-                '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>',
-            )
-        ],
+        L2_INERTIA,
+        NO_INERTIA,
         "line 12: link 'l2' inertial: the mass is 1 kg, but the inertia is zero",
     ),
     (
-        [
-            (
-                '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>',
-                '<inertia ixx="200" ixy="0" ixz="0" iyy="300" iyz="0" izz="150"/>',
-            )
-        ],
+        L2_INERTIA,
+        '<inertia ixx="200" ixy="0" ixz="0" iyy="300" iyz="0" izz="150"/>',
         "link 'l2' inertial: radius of gyration is more than 10 m",
     ),
-    ([('rpy="0 0 0.5"', 'rpy="0 0 90"')], "joint 'j2' origin rpy: '0 0 90' contains an angle"),
-    ([('rpy="0 0 0"', 'rpy="-90 0 0"')], "link 'l1' inertial origin rpy: '-90 0 0' contains an"),
-    ([(J2_AXIS, '')], "line 24: joint 'j2': <axis> is missing; 1 0 0 is used"),
-    ([(J2_AXIS, '<axis xyz="0 3 4"/>')], "line 28: joint 'j2': axis '0 3 4' has length 5"),
-    ([('lower="-1" upper="1"', 'lower="-90" upper="90"')], 'angles are in radians'),
-    ([('lower="0" upper="0.5"', 'lower="0.5" upper="0.5"')], 'limits are both 0.5: the joint'),
-    ([('lower="0" upper="0.5" ', '')], "joint 'j2': <limit> has no lower and no upper; 0 is used"),
-    ([('lower="0" upper="0.5"', 'upper="0.5"')], "joint 'j2': <limit> has no lower; 0 is used"),
+    ('rpy="0 0 0.5"', 'rpy="0 0 90"', "joint 'j2' origin rpy: '0 0 90' contains an angle"),
+    ('rpy="0 0 0"', 'rpy="-90 0 0"', "link 'l1' inertial origin rpy: '-90 0 0' contains an"),
+    (J2_AXIS, '', "line 24: joint 'j2': <axis> is missing; 1 0 0 is used"),
+    (J2_AXIS, '<axis xyz="0 3 4"/>', "line 28: joint 'j2': axis '0 3 4' has length 5"),
+    ('lower="-1" upper="1"', 'lower="-90" upper="90"', 'angles are in radians'),
+    ('lower="0" upper="0.5"', 'lower="0.5" upper="0.5"', 'limits are both 0.5: the joint'),
+    ('lower="0" upper="0.5" ', '', "joint 'j2': <limit> has no lower and no upper; 0 is used"),
+    ('lower="0" upper="0.5"', 'upper="0.5"', "joint 'j2': <limit> has no lower; 0 is used"),
     (
-        [('effort="20"', 'effort="0"')],
+        'effort="20"',
+        'effort="0"',
         "line 29: joint 'j2' effort limit: 0 means unknown, so the effort is not limited",
     ),
-    ([('velocity="1"', 'velocity="0"')], "joint 'j2' velocity limit: 0 means unknown"),
+    ('velocity="1"', 'velocity="0"', "joint 'j2' velocity limit: 0 means unknown"),
+    (
+        J2_ORIGIN,
+        J2_ORIGIN + '<origin xyz="1 2 3"/>',
+        '2 <origin> elements; only the first one is used',
+    ),
+    (
+        '<joint name="jf" type="fixed">',
+        '<joint name="jf" type="continuous"><axis xyz="0 0 1"/>',
+        "joint 'jf': moves no mass, so its gravity effort is always zero",
+    ),
 ]
 
 
-@pytest.mark.parametrize(('edits', 'words'), WARNINGS)
-def test_odd_descriptions_have_one_warning_with_a_hint(edits, words):
-    robot = load_urdf(edited(*edits))
-    assert len(robot.warnings) == 1
-    assert words in str(robot.warnings[0])
-    assert robot.warnings[0].hint
-
-
-@pytest.mark.parametrize(
-    'origin',
-    [J2_ORIGIN, L1_ORIGIN],
-    ids=['joint', 'inertial'],
-)
-def test_first_of_two_origins_is_used_with_a_warning(origin):
-    other = '<origin xyz="1 2 3" rpy="1 1 1"/>'
-    robot = load_urdf(edited((origin, f'{origin}\n{other}')))
-    (warning,) = robot.warnings
-    assert str(warning).endswith('2 <origin> elements; only the first one is used')
+@pytest.mark.parametrize(('old', 'new', 'words'), WARNINGS)
+def test_odd_descriptions_have_one_warning_with_a_hint(old, new, words):
+    (warning,) = load_urdf(edited((old, new))).warnings
+    assert words in str(warning)
     assert warning.hint
-    expected, swapped = load_urdf(GOOD), load_urdf(edited((origin, other + origin)))
-    for field in ('p_PL', 'R_PL', 'com', 'inertia'):
-        assert getattr(robot, field) == pytest.approx(getattr(expected, field), abs=1e-15)
-    assert not np.allclose(swapped.p_PL, expected.p_PL) or not np.allclose(
-        swapped.com, expected.com
+
+
+@pytest.mark.parametrize('origin', [J2_ORIGIN, L1_ORIGIN])
+def test_first_of_two_origins_is_used(origin):
+    other = '<origin xyz="1 2 3" rpy="1 1 1"/>'
+    good, first, swapped = (
+        load_urdf(edited((origin, new))) for new in (origin, origin + other, other + origin)
     )
+    for field in ('p_PL', 'R_PL', 'com', 'inertia'):
+        assert_allclose(getattr(first, field), getattr(good, field), atol=1e-15)
+    assert np.abs(swapped.p_PL - good.p_PL).max() + np.abs(swapped.com - good.com).max() > 0.1
 
 
 def test_rounded_inertia_of_a_plate_is_not_reported():
     plate = L1_INERTIA.replace('0.01"', '0.040001"')  # 0.02 + 0.02, and a digit of rounding
     assert load_urdf(edited((L1_INERTIA, plate))).warnings == ()
-
-
-def test_joint_that_moves_no_mass_is_reported():
-    text = edited(
-        ('type="fixed"', 'type="continuous"'),
-        ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 1"/>'),
-    )
-    (warning,) = load_urdf(text).warnings
-    assert str(warning) == "joint 'jf': moves no mass, so its gravity effort is always zero"
 
 
 def test_robot_that_moves_no_mass_is_reported_once():
@@ -853,22 +739,13 @@ def test_quaternion_and_rpy_of_one_rotation_load_the_same_robot(rpy, scale):
             )
         )
 
-    half = [0.5 * angle for angle in rpy]
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(x), math.cos(x)) for x in half)
-    quaternion = np.array(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ]
-    )
+    quaternion = Rotation.from_euler('xyz', rpy).as_quat()
     words = ' '.join(map(repr, (scale * quaternion).tolist()))
     robot = robot_with(f'quat_xyzw="{words}"', VERSION_1_1)
     expected = robot_with(f'rpy="{" ".join(map(repr, rpy))}"')
     for field in ('R_PL', 'p_PL', 'inertia', 'com', 'link_rotation'):
         actual = getattr(robot, field)
-        np.testing.assert_allclose(actual, getattr(expected, field), atol=1e-14, err_msg=field)
+        assert_allclose(actual, getattr(expected, field), atol=1e-14, err_msg=field)
 
 
 def test_axis_too_large_for_its_square_is_normalised():
