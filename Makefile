@@ -30,7 +30,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak arms network-faults test-security \
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak arms network-faults \
     mutation parameters pictures doc release clean
 
 demo: $(VENV)/demo.done
@@ -126,13 +126,6 @@ arms: $(VENV)/test.done
 # Runs node and driver on two network namespaces, with lost and late packets and outages between them.
 network-faults: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.network_faults $(ARGS)
-
-# Runs the node and other programs with SROS 2. The wheels have no security. FASTDDS is the path of
-# libfastrtps.so of Fast DDS 2.14.5 and that of librmw_fastrtps_shared_cpp.so, both compiled with
-# -DSECURITY=ON. The environment also needs the Python packages sros2 and cryptography 41.0.7.
-test-security: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python test/compile_kernels.py
-	@$(CLEAN) $(BIN)/python test/security_matrix.py $(FASTDDS)
 
 # Takes about half an hour on two idle cores: ARGS='*.command_shaping.*' for one module.
 mutation: $(VENV)/mutation.done

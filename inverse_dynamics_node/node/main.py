@@ -85,8 +85,6 @@ def _main(args: list[str], stop: _Stop) -> int:
 
         print(f'inverse_dynamics_node {version()}')
         return 0
-    if '--policy' in args:
-        return _print_policy(args)
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
         stop.release()  # a library may wait forever for memory while the node is created
@@ -95,18 +93,6 @@ def _main(args: list[str], stop: _Stop) -> int:
             f'least {_ADDRESS_SPACE >> 20} MB; the process may fail to start, or hang'
         )
     return _start(args, stop)
-
-
-def _print_policy(args: list[str]) -> int:
-    from ..errors import ConfigurationError
-    from .policy import policy
-    from .remaps import with_parameter_files
-
-    try:
-        print(policy(with_parameter_files(args)), end='')
-    except ConfigurationError as error:
-        return _fail(str(error))
-    return 0
 
 
 def _start(args: list[str], stop: _Stop) -> int:
@@ -121,33 +107,29 @@ def _start(args: list[str], stop: _Stop) -> int:
         )
     from rclpy.utilities import remove_ros_args
 
-    from .remaps import expanded_tildes, with_parameter_files
-
     try:
-        args = with_parameter_files(args)
         start_ros(args)
     except UnicodeEncodeError as error:
         return _fail(f'argument {error.object!r} is not UTF-8')
     except Exception as error:
         if type(error).__name__ == 'UnknownROSArgsError':  # no public module exports it
             return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
-        return _fail('\n'.join([str(error), *expanded_tildes(args), *security_hints(error)]))
+        return _fail('\n'.join([str(error), *security_hints(error)]))
     try:
         stray = remove_ros_args(args)[1:]
         if stray:
             return _fail_with_usage(f'unrecognized arguments: {" ".join(stray)}')
-        return _run(args, stop)
+        return _run(stop)
     finally:
         rclpy.try_shutdown()
 
 
-def _run(args: list[str], stop: _Stop) -> int:
+def _run(stop: _Stop) -> int:
     from rclpy.experimental.events_executor import EventsExecutor
     import rclpy.logging
 
     from ..ros.middleware import security_hints
     from .node import InverseDynamicsNode
-    from .remaps import names_of, NodeNames
     from .runner import Watchdog
     from .scheduling import Scheduling
     from .worker import Worker
@@ -163,9 +145,6 @@ def _run(args: list[str], stop: _Stop) -> int:
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         return 1
     stop.catch()
-    names = NodeNames(args)
-    for problem in [*names.ineffective_files(), *names.ineffective_remaps(names_of(node))]:
-        node.get_logger().warning(problem)
     executor = EventsExecutor()
     executor.add_node(node)
     watchdog = Watchdog()

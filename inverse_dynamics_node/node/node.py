@@ -25,7 +25,6 @@ from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
 from .parameters import Configuration, PARAMETERS
-from .remaps import NODE_NAME
 from .ros_parameters import (
     changed_configuration,
     declare_parameters,
@@ -70,7 +69,7 @@ class InverseDynamicsNode(LifecycleNode):
     ) -> None:
         self._worker = worker or Worker()
         self._scheduling = scheduling or Scheduling()
-        super().__init__(NODE_NAME, **kwargs)
+        super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self, self._keep_up)
         configuration = declare_parameters(self)
         for problem in unknown_overrides(self):

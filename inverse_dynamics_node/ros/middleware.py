@@ -78,7 +78,7 @@ def security_hints(error: Exception) -> list[str]:
     return [
         f'{_SECURITY} is true: set ROS_SECURITY_KEYSTORE, choose an enclave with --ros-args '
         '--enclave or ROS_SECURITY_ENCLAVE_OVERRIDE, and permit all topics and services in its '
-        'policy (inverse_dynamics_node --policy)'
+        'policy (config/sros2/policy.xml)'
     ]
 
 

@@ -157,29 +157,3 @@ def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_le
     robot.publish_accelerations([1.0])
     words = '1 acceleration values, expected 6'
     robot.wait_until(lambda: len(lines(node, words)) > 1, 'another warning')
-
-
-def test_remaps_without_effect_are_reported_and_the_others_are_not(run_node, robot):
-    rules = [
-        '__ns:=/left',
-        '~/commands:=/commands',
-        'joint_states:=/joint_states',
-        '~/enable:=/enable',
-        '~/change_state:=/change_state',
-        '~/get_parameters:=/get_parameters',
-        '/diagnostics:=/left/diagnostics',
-        '/rosout:=/left/rosout',
-    ]
-    useless = ['/root/commands:=/x', 'inverse_dynamics:joint_state:=/y']
-    node = run_node(*(x for rule in (*rules, *useless) for x in ('-r', rule)), **PATIENT)
-    robot.wait_for_text(node, 'no command yet')
-    reported = lines(node, 'has no effect')
-    assert len(reported) == 2, node.output
-    assert "quote the rule: -r '~/commands:=/x'" in reported[0]
-    assert "did you mean 'joint_states'?" in reported[1]
-
-
-def test_a_tilde_that_makes_a_remap_invalid_is_explained(run_node):
-    node = run_node('-r', '/home/jane.doe/commands:=/x', **PATIENT)
-    assert node.wait() == 1
-    assert "quote the rule: -r '~/commands:=/x'" in node.output

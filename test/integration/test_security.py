@@ -2,12 +2,12 @@
 
 from contextlib import nullcontext
 from fnmatch import fnmatchcase
+import xml.etree.ElementTree as ElementTree
 
 from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.node import InverseDynamicsNode
-from inverse_dynamics_node.node.policy import enclaves
 from inverse_dynamics_node.ros.middleware import check_security
 from inverse_dynamics_node.simulation.drive import PositionDrive
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
@@ -16,27 +16,31 @@ from node_process import PATIENCE
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
-from robot_files import STANFORD
+from robot_files import ROOT, STANFORD
 
-CONFIGURATIONS = {
-    'default': [],
-    'namespace and remaps': [
-        *('-r', '__ns:=/left', '-r', 'inverse_dynamics:__node:=arm', '-r', 'joint_states:=states'),
-        *('-r', '~/commands:=/left/controller/commands', '-r', '/diagnostics:=diagnostics'),
-        *('-r', '/left/arm/payload:=~/load', '-r', 'rosservice://~/enable:=enable'),
-        *('-r', 'other:imu:=/not/for/this/node', '-r', 'imu:=/base/imu', '-r', 'imu:=/second'),
-    ],
-    'simulated time and IMU': ['-p', 'use_sim_time:=true', '-p', 'base_motion:=imu'],
-}
+RULES = 'topics subscribe', 'topics publish', 'services reply', 'services request'
+
+
+def rules_of(enclave):
+    """Return the permitted names by kind and permission."""
+    found = {}
+    for rule in RULES:
+        kind, permission = rule.split()
+        found[rule] = [name.text for name in enclave.iterfind(f'.//{kind}[@{permission}]/*')]
+    return found
+
+
+POLICY = ElementTree.parse(ROOT / 'config/sros2/policy.xml')
+ENCLAVES = {enclave.get('path'): rules_of(enclave) for enclave in POLICY.iter('enclave')}
 
 
 @pytest.fixture
 def start(domain_id):
-    """Return a function that creates the node in this process, with ROS arguments."""
+    """Return a function that creates a node in this process, with ROS arguments."""
     context, nodes = Context(), []
 
-    def create(arguments, kind=InverseDynamicsNode):
-        context.init(args=arguments, domain_id=domain_id)
+    def create(kind, *arguments):
+        context.init(args=['--ros-args', *arguments], domain_id=domain_id)
         nodes.append(kind(context=context))
         return nodes[-1]
 
@@ -46,28 +50,25 @@ def start(domain_id):
     context.try_shutdown()
 
 
-@pytest.mark.parametrize('name', CONFIGURATIONS)
-def test_the_policy_covers_exactly_the_names_of_the_node(name, start):
-    arguments = ['--ros-args', *CONFIGURATIONS[name]]
-    node = start(arguments)
-    enclave, *_ = enclaves(arguments)
-    assert enclave.path == node.get_fully_qualified_name()
-    for permitted, used in permissions(enclave, node):
-        assert sorted(permitted) == sorted(used), 'run `make parameters`'
-
-
 def permissions(enclave, node):
     """Return pairs of the names that an enclave permits and the names that a node uses."""
     own = node.get_name(), node.get_namespace()
+    lists = (
+        node.get_subscriber_names_and_types_by_node,
+        node.get_publisher_names_and_types_by_node,
+        node.get_service_names_and_types_by_node,
+        node.get_client_names_and_types_by_node,
+    )
     return [
         (permitted, [name for name, _ in find(*own)])
-        for permitted, find in (
-            (enclave.subscribe, node.get_subscriber_names_and_types_by_node),
-            (enclave.publish, node.get_publisher_names_and_types_by_node),
-            (enclave.reply, node.get_service_names_and_types_by_node),
-            (enclave.request, node.get_client_names_and_types_by_node),
-        )
+        for permitted, find in zip(ENCLAVES[enclave].values(), lists, strict=True)
     ]
+
+
+def test_the_policy_covers_exactly_the_names_of_the_node(start):
+    node = start(InverseDynamicsNode)
+    for permitted, used in permissions(node.get_fully_qualified_name(), node):
+        assert sorted(permitted) == sorted(used)
 
 
 def simulated_robot(context):
@@ -79,26 +80,24 @@ def program(context):
     return Node('program', context=context)
 
 
-@pytest.mark.parametrize(('kind', 'name'), [(simulated_robot, 'driver'), (program, 'operator')])
-@pytest.mark.parametrize('parent', ['', '/left'])
-def test_the_policy_covers_programs_around_the_node(kind, name, parent, start):
-    namespace = ['-r', f'__ns:={parent}'] if parent else []
-    commands = f'commands:={parent}/inverse_dynamics/commands'
-    node = start(['--ros-args', *namespace, '-r', commands], kind)
-    (enclave,) = (x for x in enclaves(['--ros-args', *namespace]) if x.path == f'{parent}/{name}')
+@pytest.mark.parametrize(
+    ('kind', 'enclave'), [(simulated_robot, '/driver'), (program, '/operator')]
+)
+def test_the_policy_covers_programs_around_the_node(kind, enclave, start):
+    node = start(kind, '-r', 'commands:=/inverse_dynamics/commands')
     for permitted, used in permissions(enclave, node):
         for each in used:
             assert any(fnmatchcase(each, pattern) for pattern in permitted), each
-    assert len(node.get_service_names_and_types_by_node(node.get_name(), parent or '/')) >= 7
+    assert len(node.get_service_names_and_types_by_node(node.get_name(), '/')) >= 7
 
 
-def test_the_configurations_differ(start):
-    names = [enclaves(['--ros-args', *x])[0] for x in CONFIGURATIONS.values()]
-    assert '/diagnostics' in names[0].publish
-    assert {'/left/states', '/base/imu', '/left/arm/load'} < set(names[1].subscribe)
-    assert {'/left/controller/commands', '/left/diagnostics'} < set(names[1].publish)
-    assert '/left/enable' in names[1].reply
-    assert set(names[2].subscribe) - set(names[0].subscribe) == {'/clock'}
+def test_only_the_operator_may_call_and_only_the_driver_publishes_states():
+    senders = [p for p, rules in ENCLAVES.items() if '/joint_states' in rules['topics publish']]
+    assert senders == ['/driver']
+    assert [p for p, rules in ENCLAVES.items() if rules['services request']] == ['/operator']
+    replies = ENCLAVES['/inverse_dynamics']['services reply']
+    assert set(ENCLAVES['/operator']['services request']) == set(replies)
+    assert ENCLAVES['/watch']['topics publish'] == ['/parameter_events']
 
 
 @pytest.mark.parametrize(

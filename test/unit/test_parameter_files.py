@@ -9,9 +9,7 @@ from inverse_dynamics_node.node.parameters import (
     LOCKED_POSITION,
     PARAMETERS,
 )
-from inverse_dynamics_node.node.policy import enclaves, policy
 from inverse_dynamics_node.node.ros_parameters import _REMOVED
-from lxml import etree
 import pytest
 from robot_files import ROOT
 
@@ -28,23 +26,6 @@ def test_the_generator_lists_the_files_that_change_and_needs_no_ros():
     )
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
     assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
-
-
-def test_the_policy_of_other_names_is_well_formed():
-    arguments = ['--ros-args', '-r', '__ns:=/left', '-r', 'joint_states:=<&>', '-p', 'kp:=1.0']
-    root = etree.fromstring(policy(arguments).encode())
-    paths = [enclave.get('path') for enclave in root.iter('enclave')]
-    assert paths == ['/left/inverse_dynamics', '/left/driver', '/left/watch', '/left/operator']
-    assert '/left/<&>' in [topic.text for topic in root.iter('topic')]
-
-
-def test_only_the_operator_may_call_and_only_the_driver_publishes_states():
-    node, driver, watch, operator = enclaves([])
-    assert '/joint_states' in driver.publish
-    assert '/joint_states' not in (*node.publish, *watch.publish, *operator.publish)
-    assert not (*node.request, *driver.request, *watch.request)
-    assert set(operator.request) == set(node.reply)
-    assert set(watch.publish) == {'/parameter_events'}
 
 
 def test_cells_of_the_table_are_short():
