@@ -1,4 +1,4 @@
-# `make demo`, `make test`, `make bench`, `make bench-loop`, `make storm`, `make soak`, `make arms` and
+# `make demo`, `make test`, `make bench`, `make bench-loop`, `make storm`, `make soak` and
 # `make mutation` set up .venv and run. ARGS='...' is passed on: `make test ARGS=test/unit` runs some
 # of the tests.
 
@@ -30,7 +30,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak arms network-faults \
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak network-faults \
     mutation parameters pictures doc release clean
 
 demo: $(VENV)/demo.done
@@ -118,10 +118,6 @@ storm: $(VENV)/test.done
 # An hour with references, loads, descriptions and parameters that change; ARGS='--minutes 1' is shorter.
 soak: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.soak $(ARGS)
-
-# Runs ten arms at 200 Hz on this machine; ARGS='--arms 5 --rate 500 --seconds 20' runs others.
-arms: $(VENV)/test.done
-	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.arms $(ARGS)
 
 # Runs node and driver on two network namespaces, with lost and late packets and outages between them.
 network-faults: $(VENV)/test.done

@@ -42,7 +42,6 @@ mutation = ['hypothesis>=6', 'mutmut==3.8.1', 'pytest>=8']
 bench = [
     'example-robot-data>=6',
     'hypothesis>=6',
-    'matplotlib>=3.8',
     'mujoco>=3.1',
     'pin>=3.5',
 ]

@@ -9,15 +9,13 @@ import warnings
 
 from robot_files import ROOT
 
-from . import floor, growth, machine, plot, report, startup, tables
+from . import machine, report, startup, tables
 from .robots import robots
-from .timing import one_core
 
 QUICK = 5  # rounds if only checking that the benchmarks run
 ROUNDS = 60
 QUANTITY_ROUNDS = 30
 BATCH_ROUNDS = 40
-GROWTH_ROUNDS = 15
 
 
 def main() -> None:
@@ -52,19 +50,11 @@ def main() -> None:
     done('every quantity, batches')
     results.batches = tables.batches(found, rounds(BATCH_ROUNDS))
     done('batches')
-    with one_core():
-        results.papers = growth.on_the_papers_arm(rounds(ROUNDS))
-        sizes = tuple(n for n in growth.SIZES if not quick or n <= 24)
-        results.growth = growth.with_joints(sizes, rounds(GROWTH_ROUNDS))
-        done('growth')
-        results.floors = [floor.measure(robot, rounds(ROUNDS)) for robot in found[:4]]
-        done('floor')
     results.startup = startup.best(*((1, 1) if quick else (7, 3)))
     done('start-up')
     page = report.page(results)
     print('\n' + page)
     if not quick:
-        plot.draw(results.growth, arguments.doc / report.PLOT)
         (arguments.doc / 'benchmarks.md').write_text(page)
 
 

@@ -1,11 +1,10 @@
-"""Work of the node outside its loop: robot descriptions, trajectories and parameters."""
+"""Work of the node outside its loop: trajectories and parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 import os
 from pathlib import Path
-import re
 import signal
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from .parameter_calls import PATIENCE
-from .priorities import BusyProcesses, normal
+from .processes import BusyProcesses, normal
 from .wire import Contender
 
 RATE = 1000.0  # [Hz]; rate of the joint states
@@ -35,16 +34,12 @@ def measure(
     ``busy`` keep the CPUs busy. Return the longest time between two commands in each of the
     ``rounds`` [s], by kind of work.
     """
-    urdf = path.read_text()
-    # The same robot with different texts, because the node ignores an unchanged description.
-    texts = [re.sub('(<robot[^>]*>)', rf'\1<!-- {k} -->', urdf, count=1) for k in range(rounds)]
     trajectory = _trajectory(list(load_urdf(path).joint_names))
     calls = f'{CALLS} parameter calls'
     gaps: dict[str, list[float]] = {}
-    for k in range(rounds):
+    for _ in range(rounds):
         for name, interrupt in (
             ('nothing else', lambda: lambda: True),
-            ('a new robot description', lambda k=k: contender.reload(texts[k])),
             (f'a trajectory of {POINTS} points', lambda: contender.fill(trajectory)),
             (calls, lambda: _call(contender.domain)),
         ):

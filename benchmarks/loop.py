@@ -1,5 +1,5 @@
 """
-The loop from joint state to command, in the node and in relays that compute nothing.
+The loop from joint state to command, in the node and in a relay that computes nothing.
 
 `make bench-loop` runs this benchmark and writes doc/evidence/loop.md. Contenders take turns, with
 and without real-time priority, on an idle machine and beside busy processes. While one contender
@@ -12,18 +12,22 @@ import argparse
 from collections.abc import Sequence
 import contextlib
 from pathlib import Path
+import sys
 from typing import Any
 
 from domain_coordinator import domain_id
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
 from robot_files import ROOT
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
-from . import interruptions, loop_tables, machine, priorities
-from .loop_tables import BUSY, IDLE, LEAN, OURS, Task, USUAL
-from .wire import Answers, Contender, Ticks, Trips
+from . import interruptions, loop_tables, machine, processes
+from .loop_tables import BUSY, IDLE, OURS, RELAY, Task
+from .wire import Answers, Contender, EVERY_ONE, NEWEST, Ticks
 
 HERE = Path(__file__).resolve().parent
 ROBOT = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
@@ -35,7 +39,7 @@ TURN = 1.0  # [s]; duration of a turn
 LONG_TURN = 5.0  # [s]; duration of a turn with `update_rate`
 
 NODE = 'inverse_dynamics_node.node.main'
-RELAYS = 'benchmarks.relays'
+RELAY_MODULE = 'benchmarks.loop'  # with the argument of `relay_process`
 
 
 def main() -> None:
@@ -48,10 +52,10 @@ def main() -> None:
     parser.add_argument('--doc', type=Path, help='folder of the page')
     arguments = parser.parse_args()
     before = machine.describe(machine.ROS_PACKAGES)
-    is_permitted = priorities.raise_robot_side()
-    busy = priorities.BusyProcesses(BUSY_PROCESSES)
+    is_permitted = processes.raise_robot_side()
+    busy = processes.BusyProcesses(BUSY_PROCESSES)
     try:
-        answers, trips = at_once(arguments.rounds, is_permitted, busy)
+        answers = at_once(arguments.rounds, is_permitted, busy)
         turns = max(1, round(arguments.duration / LONG_TURN))
         ticks = at_a_rate(turns, min(LONG_TURN, arguments.duration), is_permitted, busy)
         gaps = interrupted(max(1, arguments.rounds // 5), is_permitted, busy)
@@ -70,7 +74,6 @@ def main() -> None:
             idle_answers=loop_tables.answers_table(answers, IDLE, 1.0 / RATE),
             busy_answers=loop_tables.answers_table(answers, BUSY, 1.0 / RATE),
             ratios=loop_tables.ratios_table(answers),
-            hurried=loop_tables.trips_table(trips),
             ticks=loop_tables.ticks_table(ticks),
             gaps=loop_tables.gaps_table(gaps),
         )
@@ -81,44 +84,40 @@ def main() -> None:
 
 
 def at_once(
-    rounds: int, is_permitted: bool, busy: priorities.BusyProcesses
-) -> tuple[dict[Task, list[Answers]], dict[str, list[Trips]]]:
-    """Measure, in turns, answers to joint states at a fixed rate and as fast as possible."""
+    rounds: int, is_permitted: bool, busy: processes.BusyProcesses
+) -> dict[Task, list[Answers]]:
+    """Measure, in turns, answers to joint states at a fixed rate."""
     with contextlib.ExitStack() as stack:
         contenders = {}
         for has_priority in (False, True) if is_permitted else (False,):
             contenders |= {
                 (OURS, has_priority): node(stack, has_priority),
-                (USUAL, has_priority): relay(stack, has_priority, 'usual'),
-                (LEAN, has_priority): relay(stack, has_priority, 'lean'),
+                (RELAY, has_priority): relay(stack, has_priority, 0.0),
             }
         answers: dict[Task, list[Answers]] = {
             Task(*who, load): [] for load in (IDLE, BUSY) for who in contenders
         }
-        trips: dict[str, list[Trips]] = {name: [] for name, _ in contenders}
         for k in range(rounds):
             for task, turns in answers.items():
                 with busy.running(task.load == BUSY):
                     turns.append(contenders[task[:2]].answers(TURN, 1.0 / RATE))
-            for name, found in trips.items():
-                found.append(contenders[name, False].trips(TURN, 0.0))
             print(f'round {k + 1}: load {machine.load()}', flush=True)
             for task, turns in answers.items():
                 late = np.percentile(turns[-1].times, 99)
                 print(f'  {task}: 99 % within {loop_tables.duration(float(late))}', flush=True)
-    return answers, trips
+    return answers
 
 
 def at_a_rate(
-    turns: int, seconds: float, is_permitted: bool, busy: priorities.BusyProcesses
+    turns: int, seconds: float, is_permitted: bool, busy: processes.BusyProcesses
 ) -> dict[Task, list[Ticks]]:
-    """Measure, in turns, the node and the usual relay with commands at a fixed rate."""
+    """Measure, in turns, the node and the relay with commands at a fixed rate."""
     with contextlib.ExitStack() as stack:
         contenders = {}
         for has_priority in (False, True) if is_permitted else (False,):
             contenders |= {
                 (OURS, has_priority): node(stack, has_priority, update_rate=RATE),
-                (USUAL, has_priority): relay(stack, has_priority, 'usual', f'{RATE}'),
+                (RELAY, has_priority): relay(stack, has_priority, RATE),
             }
         found: dict[Task, list[Ticks]] = {
             Task(*who, load): [] for load in (IDLE, BUSY) for who in contenders
@@ -132,7 +131,7 @@ def at_a_rate(
 
 
 def interrupted(
-    rounds: int, is_permitted: bool, busy: priorities.BusyProcesses
+    rounds: int, is_permitted: bool, busy: processes.BusyProcesses
 ) -> dict[Task, dict[str, list[float]]]:
     """Measure the longest time without a command while the node does other work."""
     found: dict[Task, dict[str, list[float]]] = {}
@@ -158,15 +157,35 @@ def node(stack: contextlib.ExitStack, has_priority: bool, **parameters: Any) -> 
     q, qd, qdd = states()
     efforts = InverseDynamics(load_urdf(ROBOT)).efforts(q, qd, np.broadcast_to(qdd, q.shape))
     # The node raises its priority itself.
-    prepare = priorities.normal if has_priority else priorities.forbidden
+    prepare = processes.normal if has_priority else processes.forbidden
     arguments = ['--ros-args', '--log-level', 'fatal', *ours]
     return _started(stack, NODE, arguments, efforts, prepare)
 
 
-def relay(stack: contextlib.ExitStack, has_priority: bool, *arguments: str) -> Contender:
-    """Start a relay."""
-    prepare = priorities.realtime if has_priority else priorities.normal
-    return _started(stack, RELAYS, [*arguments, '--ros-args'], states()[0], prepare)
+def relay(stack: contextlib.ExitStack, has_priority: bool, rate: float) -> Contender:
+    """Start the relay; with ``rate`` 0, it sends a command for every joint state."""
+    prepare = processes.realtime if has_priority else processes.normal
+    return _started(stack, RELAY_MODULE, [f'{RELAY}={rate}', '--ros-args'], states()[0], prepare)
+
+
+def relay_process(rate: float) -> None:
+    """Forward positions as commands and compute nothing, as a plain node with rclpy does."""
+    rclpy.init(args=sys.argv)
+    node = rclpy.create_node('relay')
+    commands = node.create_publisher(Float64MultiArray, '~/commands', EVERY_ONE)
+    latest = []
+
+    def forward(message: JointState) -> None:
+        commands.publish(Float64MultiArray(data=list(message.position)))
+
+    def keep(message: JointState) -> None:
+        latest[:] = [message]
+
+    node.create_subscription(JointState, 'joint_states', keep if rate else forward, NEWEST)
+    if rate:
+        node.create_timer(1.0 / rate, lambda: [forward(message) for message in latest])
+    with contextlib.suppress(ExternalShutdownException):
+        rclpy.spin(node)
 
 
 def _started(
@@ -210,4 +229,7 @@ def states() -> tuple[Floats, Floats, Floats]:
 
 
 if __name__ == '__main__':
-    main()
+    if sys.argv[1:] and sys.argv[1].startswith(f'{RELAY}='):
+        relay_process(float(sys.argv[1].split('=')[1]))
+    else:
+        main()

@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .priorities import PRIORITY
+from .processes import PRIORITY
 from .report import duration, figures, grid
 from .timing import compare
-from .wire import Answers, Ticks, Trips
+from .wire import Answers, Ticks
 
 OURS = 'this node'
-USUAL = 'usual relay'
-LEAN = 'lean relay'
+RELAY = 'relay'
 IDLE, BUSY = 'idle', 'busy'
 
 
@@ -65,27 +64,17 @@ def answers_table(found: dict[Task, list[Answers]], load: str, period: float) ->
 
 
 def ratios_table(found: dict[Task, list[Answers]]) -> str:
-    """Format ratios of contenders: the ratio in each round, then the median over the rounds."""
+    """Format ratios of node to relay: the ratio in each round, then the median over the rounds."""
     kinds = dict.fromkeys(task[1:] for task in found)
     rows = []
-    for other in (USUAL, LEAN):
-        for label, quantity in (('median', _median), ('99 %', _late), ('CPU', _cpu)):
-            cells = []
-            for kind in kinds:
-                of = {
-                    name: list(map(quantity, found[Task(name, *kind)])) for name in (OURS, other)
-                }
-                cells.append(figures(compare(of, other)[OURS]))
-            rows.append([f'{OURS} / {other}, {label}', *cells])
-    header = [f'{priority_name(has_priority)}, {load}' for has_priority, load in kinds]
-    of_load = []
-    for name in (OURS, USUAL, LEAN):
+    for label, quantity in (('median', _median), ('99 %', _late), ('CPU', _cpu)):
         cells = []
-        for has_priority, load in kinds:
-            late = [_pooled_late(found[Task(name, has_priority, x)]) for x in (load, IDLE)]
-            cells.append('' if load == IDLE else f'{late[0] / late[1]:.1f}')
-        of_load.append([f'{name}, busy / idle, 99 %', *cells])
-    return grid(['', *header], [*rows, *of_load])
+        for kind in kinds:
+            of = {name: list(map(quantity, found[Task(name, *kind)])) for name in (OURS, RELAY)}
+            cells.append(figures(compare(of, RELAY)[OURS]))
+        rows.append([f'{OURS} / {RELAY}, {label}', *cells])
+    header = [f'{priority_name(has_priority)}, {load}' for has_priority, load in kinds]
+    return grid(['', *header], rows)
 
 
 def _median(turn: Answers) -> float:
@@ -98,30 +87,6 @@ def _late(turn: Answers) -> float:
 
 def _cpu(turn: Answers) -> float:
     return turn.cpu
-
-
-def _pooled_late(turns: list[Answers]) -> float:
-    return float(np.percentile(np.concatenate([turn.times for turn in turns]), 99))
-
-
-def trips_table(found: dict[str, list[Trips]]) -> str:
-    """Format medians over the rounds, and ratios of the node to each relay."""
-    rows = []
-    for k, quantity in enumerate(('round trip, median', 'round trip, 99 %', 'CPU per command')):
-        of = {name: [_quantities(turn)[k] for turn in turns] for name, turns in found.items()}
-        times = [duration(float(np.median(values))) for values in of.values()]
-        ratios = [figures(compare(of, name)[OURS]) for name in (USUAL, LEAN)]
-        rows.append([quantity, *times, *ratios])
-    counts = [str(sum(len(turn.times) for turn in turns)) for turns in found.values()]
-    lost = [str(sum(turn.lost for turn in turns)) for turns in found.values()]
-    rows += [['commands', *counts, '', ''], ['states without an answer', *lost, '', '']]
-    return grid(['', *found, f'{OURS} / {USUAL}', f'{OURS} / {LEAN}'], rows)
-
-
-def _quantities(turn: Trips) -> tuple[float, float, float]:
-    """Return median and 99th percentile of the times, and CPU time per command, in a turn [s]."""
-    median, late = np.percentile(turn.times, (50, 99))
-    return float(median), float(late), turn.cpu
 
 
 def ticks_table(found: dict[Task, list[Ticks]]) -> str:

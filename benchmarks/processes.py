@@ -1,32 +1,58 @@
-"""Processes of a long measurement: start, end, CPU time and memory."""
+"""Processes of a measurement: priorities, start, end, memory, and other load on the CPUs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
+import ctypes
 import os
 from pathlib import Path
+import resource
 import signal
 import subprocess
 import sys
-import time
 from types import FrameType
-from typing import Any, NamedTuple
+from typing import Any
 
-from . import priorities
+PRIORITY = 50
+"""Real-time priority of contenders, equal to the node's default."""
+_ROBOT_PRIORITY = 60
+_BUSY = 'while True: pass'
+_PATIENCE = 30.0  # [s]; longest time from SIGTERM to the end of a process
+_PR_CAPBSET_DROP, _CAP_SYS_NICE = 24, 23
 
-PATIENCE = 30.0  # [s]; longest time from SIGTERM to the end of a process
+
+def raise_robot_side() -> bool:
+    """
+    Give this process a higher priority than all contenders; return whether that is permitted.
+
+    This process simulates the driver of the robot. Drivers that send 1000 joint states per second
+    also have real-time priority, and delays of this process must not count as delays of the
+    contenders. Call this function before any thread is started.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_ROBOT_PRIORITY))
+    except (AttributeError, PermissionError):
+        return False
+    return True
 
 
-class Memory(NamedTuple):
-    """Memory of a process and of its children [MB]."""
+def normal() -> None:
+    """Start a process at normal priority, with permission to raise it."""
+    if hasattr(os, 'sched_setscheduler'):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
-    resident: float
-    """Resident memory of the process without its children, including shared pages."""
-    proportional: float
-    """Memory with a proportional share of the pages that other processes share."""
-    unique: float
-    """Memory in pages that no other process uses."""
+
+def realtime() -> None:
+    """Start a process at real-time priority, as ``chrt -f 50`` does."""
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+
+
+def forbidden() -> None:
+    """Start a process at normal priority, without permission to raise it."""
+    normal()
+    ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_SYS_NICE, 0, 0, 0)
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 
 
 def heed_signals() -> None:
@@ -40,7 +66,7 @@ def heed_signals() -> None:
 
 
 def start(
-    module: Sequence[str], prepare: Callable[[], None] = priorities.normal, **options: Any
+    module: Sequence[str], prepare: Callable[[], None] = normal, **options: Any
 ) -> subprocess.Popen[str]:
     """
     Start a Python module with its arguments, by default at normal priority.
@@ -64,15 +90,10 @@ def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
         process.terminate()
     for process in processes:
         try:
-            process.wait(PATIENCE)
+            process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def cpu_time(pid: int) -> float:
-    """Return the CPU time of all threads of a process [s]."""
-    return time.clock_gettime((~pid << 3) | 2)  # clock_getcpuclockid(3)
 
 
 def waiting_times(pid: int) -> dict[str, float]:
@@ -82,19 +103,6 @@ def waiting_times(pid: int) -> dict[str, float]:
         with contextlib.suppress(OSError):  # the thread has ended
             found[path.name] = 1e-9 * int((path / 'schedstat').read_text().split()[1])
     return found
-
-
-def memory(pid: int) -> Memory:
-    """Return the memory of a process and of its children."""
-    own = _sizes(pid)
-    all_of_them = [own, *map(_sizes, children(pid))]
-    unique = sum(each['Private_Clean'] + each['Private_Dirty'] for each in all_of_them)
-    return Memory(own['Rss'], sum(each['Pss'] for each in all_of_them), unique)
-
-
-def total(memories: Sequence[Memory]) -> Memory:
-    """Return the sum of the memory of several processes."""
-    return Memory(*map(sum, zip(*memories, strict=True)))
 
 
 def children(pid: int) -> list[int]:
@@ -112,6 +120,32 @@ def resident(pid: int) -> float:
     return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
 
 
-def _sizes(pid: int) -> dict[str, float]:
-    lines = Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines()[1:]
-    return {line.split(':')[0]: int(line.split()[1]) / 1024 for line in lines}
+class BusyProcesses:
+    """Processes at normal priority that keep the CPUs busy; they are stopped until needed."""
+
+    def __init__(self, count: int) -> None:
+        command = [sys.executable, '-c', _BUSY]
+        self._processes = [subprocess.Popen(command, preexec_fn=normal) for _ in range(count)]
+        self._signal(signal.SIGSTOP)
+
+    @contextlib.contextmanager
+    def running(self, is_wanted: bool = True) -> Iterator[None]:
+        """Let the busy processes run during the context."""
+        if not is_wanted:
+            yield
+            return
+        self._signal(signal.SIGCONT)
+        try:
+            yield
+        finally:
+            self._signal(signal.SIGSTOP)
+
+    def close(self) -> None:
+        """End the busy processes."""
+        for process in self._processes:
+            process.kill()
+            process.wait()
+
+    def _signal(self, number: int) -> None:
+        for process in self._processes:
+            process.send_signal(number)

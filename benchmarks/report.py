@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from . import batch, floor, growth, peers, quantities, tables
-from .floor import Floor
-from .growth import Growth
-from .operations import count_lagrange, count_newton_euler, Operations
-from .robots import stanford
+from . import batch, peers, quantities, tables
 from .tables import Entry, Pairs, Table
 from .timing import Timing
 
 HERE = Path(__file__).resolve().parent
-PLOT = 'images/benchmarks.png'
 
 
 class Results:
@@ -25,9 +20,6 @@ class Results:
     quantities: Pairs
     quantity_batches: Pairs
     batches: Table
-    papers: dict[str, Timing]
-    growth: dict[str, Growth]
-    floors: list[Floor]
     startup: dict[str, dict[str, float]]
 
 
@@ -47,12 +39,6 @@ def page(results: Results) -> str:
             most_states=quantities.MOST_STATES,
             count=batch.COUNT,
             batches=ratios(results.batches, batch.REFERENCE, batch.COUNT),
-            papers=papers(results.papers),
-            plot=PLOT,
-            exponents=exponents(results.growth),
-            ratio_by_size=ratio_by_size(results.growth),
-            operations=operations(results.floors),
-            floors=floors(results.floors),
             starts=starts(results.startup),
         )
     )
@@ -125,75 +111,6 @@ def pair_times(found: Pairs) -> str:
     return grid(['', *next(iter(found.values()))], [[name, *row] for name, row in rows.items()])
 
 
-def papers(timings: dict[str, Timing]) -> str:
-    """Format the paper's comparison and the same comparison on this machine."""
-    arm = stanford().model
-    counts = {
-        growth.NEWTON_EULER: count_newton_euler(arm, folds=False),
-        growth.KEPT: count_lagrange(arm, keep=True),
-        growth.MULTIPLIED: count_lagrange(arm, keep=False),
-    }
-    own = timings[growth.NEWTON_EULER].seconds
-    base = counts[growth.NEWTON_EULER].total
-    rows = [
-        ['paper: FORTRAN, FORTRAN', '7.9 s', '33.5 ms', '236', ''],
-        ['paper: FORTRAN, assembly', '7.9 s', '4.5 ms', '1756', ''],
-    ]
-    for name in (growth.KEPT, growth.MULTIPLIED):
-        timing = timings[name]
-        label = name.replace('Lagrange', 'here')
-        work = f'{counts[name].total / base:.0f} ({counts[name].total} / {base})'
-        rows.append([label, duration(timing.seconds), duration(own), figures(timing), work])
-    return grid(['', 'Lagrangian', 'Newton-Euler', 'ratio of times', 'ratio of operations'], rows)
-
-
-def exponents(found: dict[str, Growth]) -> str:
-    """Format the exponents of power laws fitted to the larger and to the largest sizes."""
-    rows = []
-    for name, line in found.items():
-        end = int(line.sizes[-1])
-        middle = int(line.sizes[len(line.sizes) // 2 - 1])
-        last = int(line.sizes[-3])
-        fits = [f'{line.exponent(start, end):.2f}' for start in (middle, last)]
-        rows.append([name, f'n^{fits[0]}, {middle} to {end}', f'n^{fits[1]}, {last} to {end}'])
-    return grid(['', 'fitted to the upper half', 'to the last three sizes'], rows)
-
-
-def ratio_by_size(found: dict[str, Growth]) -> str:
-    """Format the ratios of the Lagrangian form to Newton-Euler by number of joints."""
-    sizes = found[growth.KEPT].sizes.tolist()
-    rows = []
-    for name in (growth.KEPT, growth.MULTIPLIED):
-        ratios = [_short(ratio) for ratio in found[name].ratios]
-        rows.append([name, *ratios, *[''] * (len(sizes) - len(ratios))])
-    return grid(['joints', *(f'{n:.0f}' for n in sizes)], rows)
-
-
-def operations(found: list[Floor]) -> str:
-    """Format the numbers of operations."""
-    return grid(
-        ['multiplications + additions', *(f.name for f in found)],
-        [
-            ['as written', *(_count(f.written) for f in found)],
-            ['folded', *(_count(f.folded) for f in found)],
-        ],
-    )
-
-
-def floors(found: list[Floor]) -> str:
-    """Format times and their ratios to the lower bound."""
-    rows = []
-    for name in (floor.FLOOR, floor.LOOP, floor.CALL, peers.REFERENCE):
-        timings = [f.timings[name] for f in found]
-        label = f'{name}, from Python' if name == peers.REFERENCE else name
-        rows.append([label, *(f'{duration(t.seconds)}, {figures(t)}' for t in timings)])
-    for label, name in (('passes', floor.LOOP), ('straight-line code', floor.FLOOR)):
-        counts = [f.written if name == floor.LOOP else f.folded for f in found]
-        times = [f.timings[name].seconds / c.total for f, c in zip(found, counts, strict=True)]
-        rows.append([f'{label}, per operation', *(f'{1e9 * t:.2f} ns' for t in times)])
-    return grid(['time, ratio to the lower bound', *(f.name for f in found)], rows)
-
-
 def starts(found: dict[str, dict[str, float]]) -> str:
     """Format the times of the steps of a start."""
     kinds = list(found)
@@ -241,7 +158,3 @@ def _percent(fraction: float) -> str:
 
 def _milliseconds(seconds: float) -> str:
     return f'{seconds * 1e3:.0f}' if seconds >= 1e-3 else f'{seconds * 1e3:.1f}'
-
-
-def _count(count: Operations) -> str:
-    return f'{count.multiplications} + {count.additions} = {count.total}'

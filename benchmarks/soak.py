@@ -47,7 +47,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from . import machine, priorities, processes
+from . import machine, processes
 
 ROBOT = Path(__file__).parent.parent / 'test/robots/seven_dof.urdf'
 NODE = 'inverse_dynamics'
@@ -426,7 +426,7 @@ def main() -> int:
     options = parser.parse_args()
     processes.heed_signals()
     before = machine.describe(machine.ROS_PACKAGES)
-    priorities.raise_robot_side()
+    processes.raise_robot_side()
     with domain_id() as domain, tempfile.NamedTemporaryFile('w+', suffix='.log') as log:
         os.environ['ROS_DOMAIN_ID'] = str(domain)
         start_ros([])

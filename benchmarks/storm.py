@@ -40,7 +40,7 @@ from sensor_msgs.msg import JointState
 from stalls import StallMeter
 from std_msgs.msg import Float64MultiArray
 
-from . import machine, priorities, processes
+from . import machine, processes
 
 ROOT = Path(__file__).parent.parent
 ROBOT = ROOT / 'config/stanford.urdf'
@@ -245,7 +245,7 @@ def main() -> int:
     options = parser.parse_args()
     processes.heed_signals()
     before = machine.describe(machine.ROS_PACKAGES)
-    priorities.raise_robot_side()
+    processes.raise_robot_side()
     with domain_id() as domain, tempfile.NamedTemporaryFile(suffix='.log') as log:
         os.environ['ROS_DOMAIN_ID'] = str(domain)
         start_ros([])

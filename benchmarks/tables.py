@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-import contextlib
 from typing import Any, NamedTuple
 
 from inverse_dynamics_node.robot.model import Floats
 
-from . import batch, peers, quantities, workers
+from . import batch, peers, quantities
 from .quantities import Quantity
 from .robots import random_states, Robot
 from .timing import Contender, difference, one_core, race, Timing
@@ -36,7 +35,6 @@ CALLS: dict[str, Maker] = {
     peers.REFERENCE: peers.pinocchio,
     'ours, out=': peers.ours,
     'ours, new array': peers.ours_new_array,
-    'KDL': workers.kdl,
     'MuJoCo mj_rne': peers.mujoco_rne,
     'MuJoCo mj_inverse': peers.mujoco_inverse,
     'Drake': peers.drake,
@@ -93,12 +91,11 @@ def _table(makers: dict[str, Maker], robots: Sequence[Robot], count: int, rounds
     table: Table = {name: {} for name in makers}
     for robot in robots:
         states = random_states(robot.n, count)
-        with one_core(), contextlib.ExitStack() as stack:
+        with one_core():
             ready = []
             for name, maker in makers.items():
                 made = _make(maker, robot, states)
                 if isinstance(made, Contender):
-                    stack.callback(made.close)
                     ready.append(made)
                 else:
                     table[name][robot.name] = Entry(None, None, made)
@@ -113,8 +110,6 @@ def _make(maker: Maker, robot: Robot, states: Floats) -> Contender | str:
         return maker(robot, states)
     except ImportError:
         return NOT_INSTALLED
-    except workers.OtherRobotsError as error:
-        return str(error)
     except Exception as error:  # a library may raise any error for an unsupported robot
         print(f'{robot.name}: {error}')
         return 'not supported'

@@ -25,10 +25,6 @@ FEW = 5  # number of rounds for a slow contender
 States = Sequence[tuple[Any, ...]]
 
 
-def nothing() -> None:
-    """Do nothing: the close function of contenders without resources."""
-
-
 @dataclass
 class Contender:
     """An implementation to be timed; a sweep is one pass over all states."""
@@ -40,7 +36,6 @@ class Contender:
     """Runs a number of sweeps over all states; returns the seconds per call."""
     calls: int
     """Number of calls per sweep."""
-    close: Callable[[], None] = nothing
 
 
 class Timing(NamedTuple):
@@ -74,22 +69,6 @@ def contender(
     )
 
 
-def in_loop(name: str, sweep: Callable[..., None], states: Floats, *arguments: Any) -> Contender:
-    """Make a contender from a compiled loop over states, without calls from Python."""
-    tau = np.empty(states.shape[1:])
-
-    def run(sweeps: int) -> Floats:
-        sweep(*states, tau, *arguments, sweeps)
-        return tau
-
-    def seconds(sweeps: int) -> float:
-        start = thread_time()
-        run(sweeps)
-        return (thread_time() - start) / (sweeps * len(tau))
-
-    return Contender(name, lambda: run(1).copy(), seconds, len(tau))
-
-
 def difference(results: Floats, expected: Floats) -> float:
     """Return the largest difference relative to the largest expected value."""
     return float(np.abs(results - expected).max() / np.abs(expected).max())
@@ -97,19 +76,17 @@ def difference(results: Floats, expected: Floats) -> float:
 
 def race(contenders: Sequence[Contender], reference: str, rounds: int) -> dict[str, Timing]:
     """Time contenders, and compute the ratios to the reference contender."""
-    return compare(run(contenders, (reference,), rounds), reference)
+    return compare(_run(contenders, reference, rounds), reference)
 
 
-def run(
-    contenders: Sequence[Contender], references: Sequence[str], rounds: int
-) -> dict[str, list[float]]:
-    """Return the times of every contender [s]; slow contenders except references skip rounds."""
+def _run(contenders: Sequence[Contender], reference: str, rounds: int) -> dict[str, list[float]]:
+    """Return the times of all contenders [s]; slow ones except the reference skip rounds."""
     sweeps = {c.name: _sweeps_in_a_slice(c) for c in contenders}
     taken: dict[str, list[float]] = {c.name: [] for c in contenders}
     with _without_garbage_collection():
         for k in range(rounds):
             for c in contenders:
-                if k < FEW or sweeps[c.name] or c.name in references:
+                if k < FEW or sweeps[c.name] or c.name == reference:
                     taken[c.name].append(c.seconds(max(1, sweeps[c.name])))
     return taken
 

@@ -8,7 +8,6 @@ import contextlib
 import math
 import os
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -37,18 +36,6 @@ PATIENCE = 60.0  # [s]; time limit for a process to start, and to be discovered
 LOST = 0.1  # [s]; a state without an answer after this time is lost
 WARM_UP = 0.3  # [s]; time at the start of a turn that is not measured
 LONGEST = 60.0  # [s]; time limit for other work of the process
-RELOAD = 2.0  # [s]; time after which a new robot description is in use
-
-
-class Trips(NamedTuple):
-    """Round trips in one turn; each state is sent after the command for the previous state."""
-
-    times: Floats
-    """Time from state to command, one value per command [s]."""
-    cpu: float
-    """CPU time of the process per command [s]."""
-    lost: int
-    """Number of states without an answer."""
 
 
 class Answers(NamedTuple):
@@ -104,11 +91,9 @@ class Contender:
         )
         self._executor: Any = None
         self._states: list[bytes] = []
-        self._expected: list[float] = []
         self._k = 0
         self._sent = 0
         self._times: list[int] = []
-        self._is_answered = False
         self._numbers: dict[bytes, int] = {}
         self._pending: deque[tuple[int, int]] = deque()
         self._process = subprocess.Popen(
@@ -139,32 +124,16 @@ class Contender:
                 last = self._take() or last
             self._numbers[last[-8 * len(command) :]] = len(self._states)
             self._states.append(data)
-            self._expected.append(float(command[-1]))
         if len(self._numbers) != len(self._states):
             raise ValueError('the commands for several states are equal')
         self._size = 8 * len(command)
         self._process.send_signal(signal.SIGSTOP)
 
-    def trips(self, seconds: float, period: float) -> Trips:
-        """Send at most one state per period [s] for a time [s]; wait for each answer."""
-        self._create_executor()
-        with self._turn():
-            self._exchange(WARM_UP, period)
-            self._times = []
-            cpu = self._cpu_time()
-            lost = self._exchange(seconds, period)
-            cpu = self._cpu_time() - cpu
-        times = np.array(self._times) * 1e-9
-        return Trips(times, cpu / max(1, len(times)), lost)
-
-    def _create_executor(self) -> None:
+    def answers(self, seconds: float, period: float) -> Answers:
+        """Send one state per period [s] for a time [s], without waiting for answers."""
         if self._executor is None:
             self._executor = EventsExecutor(context=self._context)
             self._executor.add_node(self._node)
-
-    def answers(self, seconds: float, period: float) -> Answers:
-        """Send one state per period [s] for a time [s], without waiting for answers."""
-        self._create_executor()
         self._pending.clear()
         with self._turn():
             self._stream(WARM_UP, period)
@@ -201,30 +170,10 @@ class Contender:
         for _ in range(same[-1] + 1 if same else 0):
             self._times.append(now - self._pending.popleft()[1])
 
-    def _exchange(self, seconds: float, period: float) -> int:
-        """Send states and receive commands; return the number of states without an answer."""
-        lost = 0
-        due = time.monotonic()
-        deadline = due + seconds
-        while due < deadline:
-            time.sleep(max(0.0, due - time.monotonic()))
-            self._is_answered = False
-            self._send()
-            while not self._is_answered and time.monotonic() < due + LOST:
-                self._executor.spin_once(timeout_sec=LOST)
-            lost += not self._is_answered
-            due = max(due + period, time.monotonic())
-        return lost
-
     def _on_command(self, data: bytes) -> None:
         now = time.perf_counter_ns()
-        if self._pending:
+        if self._pending:  # the node also sends commands after the states have stopped
             self._note_answer(data, now)
-            return
-        # The node also sends commands after the states have stopped.
-        if math.isclose(_last_number(data), self._expected[self._k], rel_tol=1e-9, abs_tol=1e-12):
-            self._times.append(now - self._sent)
-            self._is_answered = True
 
     def _send(self) -> None:
         self._k = (self._k + 1) % len(self._states)
@@ -289,12 +238,6 @@ class Contender:
         """Publish a robot description, also for processes that subscribe later."""
         self._description.publish(String(data=text))
 
-    def reload(self, text: str) -> Callable[[], bool]:
-        """Publish a new description; return a function that checks whether it is in use."""
-        self.publish_description(text)
-        due = time.monotonic() + RELOAD  # the commands do not show it
-        return lambda: time.monotonic() > due
-
     def fill(self, trajectory: bytes) -> Callable[[], bool]:
         """Publish a trajectory; return a function that checks whether the result has arrived."""
         while self._filled.handle.take_message(JointTrajectory, True) is not None:
@@ -354,7 +297,3 @@ def _numbers(data: bytes) -> Floats:
 
 def _is_close(data: bytes, command: Floats) -> bool:
     return bool(np.allclose(_numbers(data), command, rtol=1e-9, atol=1e-12))
-
-
-def _last_number(data: bytes) -> float:
-    return float(struct.unpack_from('<d', data, len(data) - 8)[0])
