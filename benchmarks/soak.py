@@ -62,12 +62,6 @@ OUTPUTS = {
 IN_TURN = {
     f'{NODE}/joint_efforts': JointState,
     f'{NODE}/joint_commands': JointState,
-    f'{NODE}/terms/inertial': JointState,
-    f'{NODE}/terms/velocity': JointState,
-    f'{NODE}/terms/gravity': JointState,
-    f'{NODE}/terms/friction': JointState,
-    f'{NODE}/terms/external': JointState,
-    f'{NODE}/base_wrench': WrenchStamped,
 }
 """The outputs that are read in turn: reading all at once takes more than a millisecond."""
 TURN = 2.0  # [s]; time for which one of these outputs is read

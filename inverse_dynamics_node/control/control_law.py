@@ -50,7 +50,8 @@ class ControlLaw:
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n = len(dynamics.robot.joint_names)
         self._qdd, self._tau, self._rest = np.zeros((3, n))
-        self._velocities = self._rest
+        self.velocities: Floats = self._rest
+        """Velocities that produced the last efforts, shape (n,) [rad/s or m/s]."""
         self._no_efforts = self.added = np.zeros(len(index))
         """
         Efforts to add to the computed efforts, shape (m,) [N m or N]. These efforts come
@@ -128,11 +129,6 @@ class ControlLaw:
         return self._efforts(self._last_q, self._last_qd, self._last_reference)
 
     @property
-    def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations that produced the last efforts, each of shape (n,)."""
-        return self._velocities, self._qdd
-
-    @property
     def followed(self) -> Reference | None:
         """The reference that the last command followed, if any."""
         return self._last_reference if self._has_last_inputs else None
@@ -189,7 +185,7 @@ class ControlLaw:
     def _efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> Floats | None:
         mode = self.settings.mode
         is_guided = mode is Mode.GRAVITY_COMPENSATION
-        self._velocities = self._rest if is_guided else qd
+        self.velocities = self._rest if is_guided else qd
         if reference is None:
             self._qdd[self._index], self.added = 0.0, self._no_efforts
         else:
@@ -203,7 +199,7 @@ class ControlLaw:
         try:
             if is_guided:
                 self.added = self._guidance(q, qd)
-            self.dynamics.efforts(q, self._velocities, self._qdd, out=self._tau)
+            self.dynamics.efforts(q, self.velocities, self._qdd, out=self._tau)
         except JointStateError:
             return None
         return self._tau

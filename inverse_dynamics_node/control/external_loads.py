@@ -84,7 +84,7 @@ class ExternalLoads:
         base_link: str = '',
     ) -> None:
         self.dynamics = dynamics
-        self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
+        self._R_0B = _base_rotation(dynamics, base_link)
         self.settings = settings or LoadSettings()
         self.payloads: dict[str, RigidBody] = {}
         """Latest payload of each loaded link; the ramp to this payload may be in progress."""
@@ -231,16 +231,6 @@ class ExternalLoads:
         finally:
             self._write_gravity(self.include_gravity)
 
-    def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-        """
-        Convert a wrench from the root frame to the base frame.
-
-        Each moment is about the origin of its frame.
-
-        """
-        R_B0 = self._R_0B.T
-        return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
-
     def continue_from(self, other: ExternalLoads) -> list[str]:
         """
         Take over the loads of ``other``, which belongs to another robot description.
@@ -317,11 +307,11 @@ class ExternalLoads:
         self.dynamics.set_gravity(float(is_included) * self.gravity_at_root)
 
 
-def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:
-    """Return the rotation and origin of the base frame in the root frame."""
+def _base_rotation(dynamics: InverseDynamics, base_link: str) -> Floats:
+    """Return the rotation from the base frame to the root frame."""
     robot = dynamics.robot
     if not base_link:
-        return np.eye(3), np.zeros(3)
+        return np.eye(3)
     fixed = [
         name for name, body in zip(robot.link_names, robot.link_body, strict=True) if not body
     ]
@@ -329,8 +319,8 @@ def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Float
         raise ConfigurationError(
             f"base_link is '{base_link}', expected a link that no joint moves: {', '.join(fixed)}"
         )
-    k = robot.link_index(base_link)
-    return robot.link_rotation[k], robot.link_position[k]
+    rotation: Floats = robot.link_rotation[robot.link_index(base_link)]
+    return rotation
 
 
 def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRONGEST) -> Floats:

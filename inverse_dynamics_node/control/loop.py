@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics.effort_terms import EffortTerms, JointWrenches
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..robot.model import Booleans, Floats, RobotModel
@@ -19,7 +18,7 @@ from .contact import ExternalEffortEstimator
 from .control_law import ControlLaw, DriveReference, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
-from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
+from .settings import LoadSettings, MeasuredGravity, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, StateSupervisor
 
@@ -412,20 +411,6 @@ class ControlLoop:
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
         return [self.robot.joint_names[i] for i in compress(index, is_beyond)]
-
-    def effort_terms(self) -> EffortTerms:
-        """Compute the terms of the last efforts, each of shape (m,) [N m or N]."""
-        q, law = self.collector.q, self.controller.law
-        found = self.dynamics.effort_terms(q, *law.motion)
-        terms = EffortTerms(*(term[self.index] for term in found))
-        is_guided = law.settings.mode is Mode.GRAVITY_COMPENSATION
-        return terms._replace(friction=law.added) if is_guided else terms
-
-    def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute the mount's force [N] and moment [N m] on the base, in the base frame."""
-        q = self.collector.q
-        wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.law.motion)
-        return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
 
     def drive_reference(self) -> tuple[Floats, Floats]:
         """Return positions and velocities to send with the last command; see `DriveReference`."""

@@ -6,7 +6,6 @@ from array import array
 from collections.abc import Sequence
 from typing import Any
 
-from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
@@ -18,13 +17,11 @@ from ..robot.model import Floats
 from ..ros import qos
 from ..ros.cdr import serialize_numbers
 
-TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
-"""Names of the topics below ``~/terms``, in the order of the fields of `EffortTerms`."""
 _NO_NUMBERS: Floats = np.zeros(0)
 
 
 class Outputs:
-    """Publishes commands, effort terms, external efforts, base wrench and robot description."""
+    """Publishes commands, external efforts and the robot description."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
@@ -40,24 +37,16 @@ class Outputs:
         by_name = [self._joint_efforts] * self.may_command_by_name
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
         """Publishers of the topics that may carry the commands."""
-        self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
-        self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
-        self._joints, self._wrench = JointState(), WrenchStamped()
+        self._joints = JointState()
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
         """Store which topics have subscribers; a check before every message would be too slow."""
         self._subscribed = {
             publisher
-            for publisher in (
-                self._joint_efforts,
-                self._joint_commands,
-                *self._terms,
-                self._external_efforts,
-                self._base_wrench,
-            )
+            for publisher in (self._joint_efforts, self._joint_commands, self._external_efforts)
             if publisher.get_subscription_count()
         }
 
@@ -112,22 +101,10 @@ class Outputs:
         for publisher in (self.commands, self._joint_efforts, self._joint_commands):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
-    def publish_explanation(self, loop: ControlLoop) -> None:
-        """Publish effort terms and base wrench of the last command, and the external efforts."""
-        if not self._subscribed.isdisjoint(self._terms):
-            for publisher, term in zip(self._terms, loop.effort_terms(), strict=True):
-                if publisher in self._subscribed:
-                    self._publish_efforts(publisher, loop.controller.joints, term)
-        if self._base_wrench in self._subscribed:
-            self._wrench.header.frame_id = loop.base_link
-            parts = self._wrench.wrench.force, self._wrench.wrench.torque
-            for part, values in zip(parts, loop.base_wrench(), strict=True):
-                part.x, part.y, part.z = values.tolist()
-            self._publish(self._base_wrench, self._wrench)
-        if self._external_efforts in self._subscribed:
-            self._publish_external_efforts(loop)
-
-    def _publish_external_efforts(self, loop: ControlLoop) -> None:
+    def publish_external_efforts(self, loop: ControlLoop) -> None:
+        """Publish the external efforts of the joints with measured efforts."""
+        if self._external_efforts not in self._subscribed:
+            return
         efforts = loop.external_efforts()
         measured = np.flatnonzero(np.isfinite(efforts))
         if len(measured):
@@ -147,8 +124,5 @@ class Outputs:
         message.position = array('d', positions.tobytes())
         message.velocity = array('d', velocities.tobytes())
         message.effort = array('d', efforts.tobytes())
-        self._publish(publisher, message)
-
-    def _publish(self, publisher: Any, message: Any) -> None:
         message.header.stamp = self._clock.now().to_msg()
         publisher.publish(message)

@@ -66,7 +66,7 @@ class Configuration(Settings, LoadSettings):
     )
     base_link: str = parameter(
         '',
-        'Link in whose frame gravity, `imu` and `~/base_wrench` are expressed. Empty: root link',
+        'Link in whose frame gravity and `imu` are expressed. Empty: root link',
         'No movable joint may lie between this link and the root link',
         is_live=False,
     )

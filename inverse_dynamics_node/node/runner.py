@@ -151,7 +151,7 @@ class LoopRunner:
             self.log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
             self.loop.collector.lost_velocities = []
         if self.loop.controller.phase in COMPUTING_PHASES:
-            self._explain(self.loop)
+            self._publish_external_efforts(self.loop)
 
     def _publish(self, now: float, command: Command) -> None:
         assert self.loop is not None
@@ -180,11 +180,11 @@ class LoopRunner:
         missing = self.loop.missing(states, imu, self.now())
         return f'no command yet: waiting for {" and ".join(missing)}'
 
-    def _explain(self, loop: ControlLoop) -> None:
+    def _publish_external_efforts(self, loop: ControlLoop) -> None:
         try:
-            self.outputs.publish_explanation(loop)
+            self.outputs.publish_external_efforts(loop)
         except JointStateError as error:
-            self.log.warn('explanation', str(error))
+            self.log.warn('external efforts', str(error))
 
     def catch_up(self) -> None:
         """Do the work of the timers."""

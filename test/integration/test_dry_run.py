@@ -157,9 +157,9 @@ def test_remapped_joint_efforts_are_commands_in_a_dry_run(run_node, robot):
     node = run_node('-r', '~/joint_efforts:=/joint_command', **RAMPED, dry_run=True)
     heard = robot.listen(JointState, '/joint_command')
     complete = robot.listen(JointState, 'inverse_dynamics/joint_commands')
-    terms = robot.listen(JointState, 'inverse_dynamics/terms/gravity')
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_until(lambda: len(terms) > 100, 'terms')
+    computed = robot.listen(JointState, 'inverse_dynamics/external_efforts')
+    robot.publish_state(NAMES, Q, ZERO, ZERO)
+    robot.wait_until(lambda: len(computed) > 100, 'external efforts')
     assert heard == complete == []
     robot.wait_for_text(node, ' or to /joint_command')
     robot.set_parameter('dry_run', False)

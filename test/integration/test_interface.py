@@ -257,26 +257,6 @@ def test_invalid_motions_of_the_base_are_dropped_with_a_reason(run_node, robot):
 # Optional topics
 
 
-def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
-    run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2, load_friction=0.1)
-    robot.publish_state(NAMES, Q, QD)
-    robot.publish_accelerations(QDD)
-    dynamics.set_friction(0.5, 0.2, load_friction=0.1)
-    robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
-    expected = dynamics.effort_terms(Q, QD, QDD)
-    total = np.zeros(6)
-    topics = 'inertial', 'velocity', 'gravity', 'friction', 'external'
-    for term, values in zip(topics, expected, strict=True):
-        heard = robot.listen(JointState, f'{OWN}/terms/{term}')
-        message = robot.wait_for(
-            heard, lambda m, v=values: list(m.effort) == pytest.approx(list(v), abs=1e-9), term
-        )
-        assert list(message.name) == NAMES
-        assert len(message.position) == len(message.velocity) == 0
-        total += message.effort
-    assert total == pytest.approx(dynamics.efforts(Q, QD, QDD))
-
-
 def test_springs_and_coupled_drives_are_live_parameters(run_node, robot, dynamics):
     coupling = [0.0, 0.0, 0.0, 0.0, 0.0, 0.8]
     run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2, drive_coupling=coupling)
@@ -351,20 +331,6 @@ def test_external_efforts_are_published_only_while_efforts_are_measured(run_node
         return len(robot.commands) > last[0] + 40
 
     robot.wait_until(is_silent, '40 commands in a row without external efforts')
-
-
-def test_the_base_wrench_supports_the_weight_of_the_arm(run_node, robot, dynamics):
-    run_node(**PATIENT)
-    robot.publish_state(NAMES, Q, ZERO)
-    heard = robot.listen(WrenchStamped, f'{OWN}/base_wrench')
-    message = robot.wait_for(heard, lambda _: True, 'base wrench')
-    force, moment = dynamics.joint_wrenches(Q, ZERO, ZERO)
-    found = message.wrench
-    assert message.header.frame_id == MODEL.body_names[0]
-    assert [found.force.x, found.force.y, found.force.z] == pytest.approx(list(force[0]), abs=1e-9)
-    assert found.force.z == pytest.approx(9.80665 * MODEL.mass.sum())
-    torque = [found.torque.x, found.torque.y, found.torque.z]
-    assert torque == pytest.approx(list(moment[0]), abs=1e-9)
 
 
 def test_topics_without_subscribers_are_not_computed(run_node, robot, dynamics):
@@ -457,7 +423,7 @@ def test_invalid_locked_positions_end_the_start(run_node, locked, words):
     assert words in node.output
 
 
-def test_base_link_is_the_frame_of_gravity_and_base_wrench(run_node, robot, tmp_path):
+def test_base_link_is_the_frame_of_gravity(run_node, robot, tmp_path):
     text = (ROOT / 'test/robots/pendulum.urdf').read_text()
     base = load_urdf(text).body_names[0]
     extra = (
@@ -476,11 +442,6 @@ def test_base_link_is_the_frame_of_gravity_and_base_wrench(run_node, robot, tmp_
     robot.publish_state(model.joint_names, q, 0 * q)
     expected = InverseDynamics(model, gravity=(-2.0, 1.0, -3.0))
     robot.wait_for_command(expected.gravity_efforts(q))
-    heard = robot.listen(WrenchStamped, f'{OWN}/base_wrench')
-    message = robot.wait_for(heard, lambda _: True, 'base wrench')
-    assert message.header.frame_id == 'mount'
-    force = np.array([message.wrench.force.x, message.wrench.force.y, message.wrench.force.z])
-    assert force == pytest.approx(model.mass.sum() * np.array([-1.0, -2.0, 3.0]))
 
 
 # Services

@@ -143,17 +143,6 @@ def test_a_live_change_is_blended_while_motion_acts_at_once(change):
     assert last == pytest.approx(HOLD + share * friction - damping * slower)
 
 
-def test_the_terms_show_the_compensated_friction_and_add_up():
-    loop = ControlLoop(ROBOT, NAMES[::-1], replace(GUIDED, guiding_damping=1.5))
-    loop.dynamics.set_friction(DAMPING, COULOMB)
-    store_state(loop.collector, 0.0, NAMES, Q, QD)
-    efforts = loop.step(0.0).efforts
-    terms = loop.effort_terms()
-    assert terms.friction == pytest.approx((0.8 * FRICTION - 1.5 * QD)[::-1])
-    assert terms.coriolis.tolist() == [0.0, 0.0]
-    assert sum(terms) == pytest.approx(efforts)
-
-
 def test_without_friction_its_term_is_not_computed():
     arm = Controller(InverseDynamics(ROBOT), (), GUIDED)
     arm.dynamics.effort_terms = None
