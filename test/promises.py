@@ -20,12 +20,16 @@ LARGEST_CHANGE = 1e3  # [N m]; beyond the limits, so that larger ones make no di
 NOMINAL_STEP = 0.01  # [s]; ramps advance by at most as long in one command, ...
 GROWTH, MEMORY = 1.25, 16.0  # ... or by the usual time between commands, which changes slowly
 SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
-RAMPS = 3.0  # ramps over the largest effort that may coincide: a blend over twice of it, a load
+RAMPS = 2.0  # ramps over the largest effort: a blend may be over twice of it
 PAUSE, SETTLING = 0.1, 0.2  # [s]; after a pause, old messages may arrive for as long
 FACTOR, LATENESS, LONGEST_STEP = 2.0, 0.03, 0.1  # of motion: of the speed limit, [s], [s]
 WRONG_WAY = 0.1  # [rad, m]; after which a wrong sign of the velocities has been found
 WINDOW = 0.02  # [s]; many small steps may be no motion either
-TIMEOUTS = {'wrench': lambda node: node.load_settings.wrench_timeout, 'imu': lambda node: 0.2}
+TIMEOUTS = {
+    'wrench': lambda node: node.settings.wrench_timeout,
+    'imu': lambda node: 0.2,
+    'gravity': lambda node: 0.05,
+}
 
 
 class BrokenPromiseError(AssertionError):

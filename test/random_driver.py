@@ -23,7 +23,7 @@ import time
 from inverse_dynamics_node import InverseDynamicsError, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
-from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings, StalePolicy
+from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
 from promises import BrokenPromiseError, Promises
 from robot_files import ROOT
@@ -51,9 +51,6 @@ SETTINGS = {
     'effort_scale': [1.0, 0.8],
     'effort_limits': [math.inf, 30.0],
     'effort_rate_limits': [math.inf, math.inf, 50.0],
-}
-LOAD_SETTINGS = {
-    'load_ramp': [0.5, 1.0, 5.0],
     'wrench_timeout': [0.05, 0.1, 1.0],
 }
 
@@ -67,7 +64,6 @@ class Node:
         self.include_friction = False
         mode = pick.choice(list(Mode))
         self.settings = Settings(mode=mode, stop_damping=pick.choice([0.0, 50.0, 50.0]))
-        self.load_settings = LoadSettings()
         self.robot, self.imu = 0, imu
         self.loop = self.make_loop()
         self.loop.start()
@@ -80,12 +76,11 @@ class Node:
             ROBOTS[self.robot],
             settings=self.settings,
             period=period,
-            load_settings=self.load_settings,
             has_imu=self.imu,
         )
 
     def apply(self):
-        self.loop.loads.apply(self.load_settings, self.include_gravity)
+        self.loop.loads.apply(self.settings, self.include_gravity)
         damping, coulomb, load = self.include_friction * np.array([1.2, 0.6, 0.05])
         self.loop.dynamics.set_friction(damping, coulomb, load_friction=load)
         self.loop.controller.apply(self.settings)
@@ -97,10 +92,14 @@ class Node:
         self.loop.continue_from(old, is_active=True)
 
     def set_payload(self, now, mass):
-        self.loop.loads.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
+        self.loop.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
 
     def set_wrench(self, now, force):
         self.loop.set_external_wrench(now, TIP, force, np.zeros(3))
+
+    def set_gravity(self, now, angle):
+        gravity = 9.8 * np.array([math.sin(angle), 0.0, -math.cos(angle)])
+        self.loop.set_gravity(now, gravity)
 
     def step(self, now):
         """Return the computed command, and the efforts that are sent."""
@@ -249,12 +248,6 @@ class Sequence:
         self.node.settings = replace(self.node.settings, **{name: value})
         self.node.apply()
 
-    def change_load_setting(self):
-        name = self.pick.choice(list(LOAD_SETTINGS))
-        value = self.pick.choice(LOAD_SETTINGS[name])
-        self.node.load_settings = replace(self.node.load_settings, **{name: value})
-        self.node.apply()
-
     def toggle_gravity(self):
         self.node.include_gravity = not self.node.include_gravity
         self.node.apply()
@@ -330,7 +323,15 @@ class Sequence:
     def change_gravity(self):
         if not self.node.imu:
             angle = self.pick.uniform(0.0, 3.0)
-            self.node.loop.loads.set_gravity([9.8 * math.sin(angle), 0.0, -9.8 * math.cos(angle)])
+            self.node.set_gravity(self.now, angle)
+
+    def turn_base(self):
+        """Publish gravity at 100 Hz while the base turns."""
+        if not self.node.imu:
+            speed = self.pick.uniform(-2.0, 2.0)
+            for k in range(self.pick.choice([3, 30])):
+                self.load('gravity', lambda now, k=k: self.node.set_gravity(now, 0.01 * speed * k))
+                self.run(0.01)
 
     def change_reference(self):
         self.acceleration = np.array([self.pick.uniform(-1.0, 1.0) for _ in NAMES])
@@ -347,8 +348,7 @@ ACTIONS = [
     Sequence.change_mode,
     Sequence.change_setting,
     Sequence.change_setting,
-    Sequence.change_load_setting,
-    Sequence.change_load_setting,
+    Sequence.change_setting,
     Sequence.toggle_gravity,
     Sequence.toggle_friction,
     Sequence.stop,
@@ -372,6 +372,7 @@ ACTIONS = [
     Sequence.set_payload,
     Sequence.toggle_wrench,
     Sequence.change_gravity,
+    Sequence.turn_base,
     Sequence.change_reference,
     Sequence.change_reference,
     Sequence.change_reference,

@@ -1,10 +1,9 @@
 """
 Applies payloads, wrenches, gravity and the motion of the base to the dynamics.
 
-Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
-of the base take effect at once. A wrench fades out when its messages stop. When the messages about
-the base stop, gravity keeps its last value. A change of `load_ramp` does not affect a ramp in
-progress.
+All loads take effect at once. The methods say whether the efforts may jump, so that the caller can
+blend the change in. A wrench ends when its messages stop. When the messages about the base stop,
+gravity keeps its last value.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,46 +20,21 @@ from ..dynamics.arguments import read_inertial, read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, plain
 from ..robot.model import Floats
-from ..robot.rigid_body import combine, RigidBody
-from .command_shaping import ramp_fraction
+from ..robot.rigid_body import RigidBody
 from .filters import LowPass
-from .settings import LARGEST_GRAVITY, LoadSettings
+from .settings import LARGEST_GRAVITY, Settings
 
 IMU_TIMEOUT = 0.2
 """Time without IMU data after which the motion of the base counts as lost [s]."""
 _IMU_CUTOFF = 20.0  # [Hz]; wheels vibrate
 STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
+# Gravity that a base turns at up to 2 rad/s, in messages at 20 Hz or faster, changes continuously.
+_GRAVITY_RATE = 20.0  # [m/s^3]
+_GRAVITY_PERIOD = 0.05  # [s]
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
 _ROUNDING = 1e-3  # permitted rounding error of principal moments, relative to their sum
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
-
-
-class _PayloadRamp(NamedTuple):
-    old: RigidBody
-    new: RigidBody
-    duration: float
-    """Duration [s]."""
-    fraction: float
-    """Elapsed fraction of the ramp."""
-
-    @property
-    def payload(self) -> RigidBody:
-        """The current payload."""
-        if self.fraction == 1.0:
-            return self.new
-        return combine([self.old.scale(1.0 - self.fraction), self.new.scale(self.fraction)])
-
-
-class _Wrench(NamedTuple):
-    force: Floats
-    moment: Floats
-    time: float
-    """Time of arrival [s]."""
-    duration: float
-    """Duration of the fade [s]; fixed when the fade starts."""
-    fraction: float
-    """Applied fraction of the wrench; falls from 1 to 0 while the wrench fades."""
 
 
 class ExternalLoads:
@@ -79,33 +53,32 @@ class ExternalLoads:
     def __init__(
         self,
         dynamics: InverseDynamics,
-        settings: LoadSettings | None = None,
+        settings: Settings | None = None,
         gravity: ArrayLike = STANDARD_GRAVITY,
         base_link: str = '',
     ) -> None:
         self.dynamics = dynamics
         self._R_0B = _base_rotation(dynamics, base_link)
-        self.settings = settings or LoadSettings()
+        self.settings = settings or Settings()
         self.payloads: dict[str, RigidBody] = {}
-        """Latest payload of each loaded link; the ramp to this payload may be in progress."""
+        """Payload of each loaded link."""
         self.include_gravity = True
         """Whether the efforts include gravity and the acceleration of the base."""
         self.imu_time = -math.inf
         """Time at which the motion of the base was last measured [s]."""
-        self._ramps: dict[str, _PayloadRamp] = {}
-        self._wrenches: dict[str, _Wrench] = {}
-        self.gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
+        self._wrench_times: dict[str, float] = {}  # arrival of the last wrench on each link [s]
+        self._gravity_time = -math.inf  # arrival of the last message about gravity [s]
+        self.gravity = read_vector('gravity', gravity, 'm/s^2')
         """Current free-fall acceleration in the base frame [m/s^2]."""
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)), _IMU_CUTOFF)  # gravity and angular velocity
         self._is_base_lost = True
         self._is_new_signal = False  # whether the next motion of the base restarts the filter
-        self._gravity_ramp = self.settings.load_ramp  # [s]
         self._write_base()
 
     def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
         """
-        Ramp in the new payload of a link; return False if the link already has this payload.
+        Set the payload of a link; return False if the link already has this payload.
 
         The arguments are those of `InverseDynamics.set_payload`. A mass of 0 removes the payload.
         A ConfigurationError is raised if the link does not exist, if no rigid body can have this
@@ -118,9 +91,7 @@ class ExternalLoads:
         pairs: Any = zip(payload, last, strict=True)
         if all(np.array_equal(one, other) for one, other in pairs):
             return False
-        ramp = self._ramps.get(link)
-        old = ramp.payload if ramp else last
-        self._ramps[link] = _PayloadRamp(old, payload, self.settings.load_ramp, 0.0)
+        self.dynamics.set_payload(link, *payload)
         self.payloads.pop(link, None)
         if payload is not NO_PAYLOAD:
             self.payloads[link] = payload
@@ -130,7 +101,7 @@ class ExternalLoads:
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
     ) -> bool:
         """
-        Apply an external wrench to a link; a wrench that is not renewed fades out.
+        Apply an external wrench to a link; a wrench that is not renewed ends.
 
         ``now`` is the time [s]. The other arguments are those of
         `InverseDynamics.set_external_wrench`. The result is true if efforts may jump because the
@@ -141,21 +112,28 @@ class ExternalLoads:
         self.dynamics.robot.link_index(link)
         F = _read_bounded('force', force, 'N', _LARGEST_WRENCH)
         N = _read_bounded('moment', moment, 'N m', _LARGEST_WRENCH)
-        last = self._wrenches.get(link)
-        self._write_wrench(link, _Wrench(F, N, now, self.settings.load_ramp, 1.0))
-        if last is None or last.fraction < 1.0:
-            return True
-        return not 0.0 <= now - last.time <= self.settings.wrench_timeout
+        self.dynamics.set_external_wrench(link, F, N)
+        age = now - self._wrench_times.get(link, -math.inf)
+        self._wrench_times[link] = now
+        return not 0.0 <= age <= self.settings.wrench_timeout
 
-    def set_gravity(self, gravity: ArrayLike) -> None:
+    def set_gravity(self, gravity: ArrayLike, now: float = -math.inf) -> bool:
         """
-        Ramp gravity to a free-fall acceleration in the base frame, shape (3,) [m/s^2].
+        Set the free-fall acceleration in the base frame, shape (3,) [m/s^2].
 
-        A ConfigurationError is raised unless gravity consists of three numbers from -100 to 100.
+        ``now`` is the time of a message about gravity [s]. The result is true if efforts may jump.
+        They do not jump if the change is as small as that between two messages while the base
+        turns. A ConfigurationError is raised unless gravity consists of three numbers from -100 to
+        100.
 
         """
-        self._target = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
-        self._gravity_ramp = self.settings.load_ramp
+        last, elapsed = self.gravity, now - self._gravity_time
+        self.gravity = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
+        self._gravity_time = now
+        self._write_base()
+        is_stream = 0.0 <= elapsed <= _GRAVITY_PERIOD
+        largest = _GRAVITY_RATE * elapsed if is_stream else 0.0
+        return float(np.linalg.norm(self.gravity - last)) > largest
 
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
@@ -177,7 +155,6 @@ class ExternalLoads:
         self.gravity, self._angular_velocity = self._imu_filter.update(
             now, sample, restarts=was_lost
         )
-        self._target = self.gravity
         self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
         self._write_base()
         return was_lost
@@ -190,30 +167,32 @@ class ExternalLoads:
         """Return whether the motion of the base was measured within the timeout."""
         return 0.0 <= now - self.imu_time <= IMU_TIMEOUT
 
-    def update(self, now: float, elapsed: float) -> bool:
+    def update(self, now: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and check whether the base motion is known.
+        End stale wrenches, and check whether the motion of the base is known.
 
-        ``elapsed`` is the time step of ramps [s]; see `RampClock`. The result is true if efforts
-        may jump because the motion of the base has just become unknown.
+        The result is true if efforts may jump because a wrench has ended, or because the motion of
+        the base has just become unknown.
 
         """
-        for link in list(self._ramps):
-            self._ramp_payload(link, elapsed)
-        for link in list(self._wrenches):
-            self._fade_wrench(link, now, elapsed)
-        if self.gravity is not self._target:
-            self._ramp_gravity(elapsed)
+        has_jumped = False
+        for link, time in list(self._wrench_times.items()):
+            if now < time:  # the clock was set back
+                self._wrench_times[link] = now
+            elif now - time > self.settings.wrench_timeout:
+                del self._wrench_times[link]
+                self.dynamics.set_external_wrench(link, np.zeros(3), np.zeros(3))
+                has_jumped = True
         if self._is_base_lost or self.is_base_known(now):
-            return False
+            return has_jumped
         # Keep the last known gravity, but assume that the base has stopped rotating.
         self._is_base_lost = True
         self._angular_velocity = np.zeros(3)
         self._write_base()
         return True
 
-    def apply(self, settings: LoadSettings, include_gravity: bool) -> None:
-        """Change the settings; a ramp in progress keeps its duration."""
+    def apply(self, settings: Settings, include_gravity: bool) -> None:
+        """Change the settings; the caller must then blend the efforts."""
         self.settings = settings
         if include_gravity is not self.include_gravity:
             self.include_gravity = include_gravity
@@ -235,7 +214,7 @@ class ExternalLoads:
         """
         Take over the loads of ``other``, which belongs to another robot description.
 
-        Ramps of payloads end at once. A payload is dropped if this robot lacks the link. The
+        A payload is dropped if this robot lacks the link. The
         result lists the links of the dropped payloads. ``other`` must not be used afterwards.
 
         """
@@ -246,11 +225,7 @@ class ExternalLoads:
                 self.dynamics.set_payload(link, *payload)
             else:
                 dropped.append(link)
-        for link, wrench in other._wrenches.items():
-            if link in self.dynamics.robot.link_names:
-                self._write_wrench(link, wrench)
-        self.gravity, self._target = other.gravity, other._target
-        self._gravity_ramp = other._gravity_ramp
+        self.gravity, self._gravity_time = other.gravity, other._gravity_time
         self._angular_velocity, self.imu_time = other._angular_velocity, other.imu_time
         self._imu_filter = other._imu_filter
         self._is_base_lost, self._is_new_signal = other._is_base_lost, other._is_new_signal
@@ -262,42 +237,6 @@ class ExternalLoads:
         """Current free-fall acceleration in the root frame [m/s^2]."""
         at_root: Floats = self._R_0B @ self.gravity
         return at_root
-
-    def _ramp_payload(self, link: str, elapsed: float) -> None:
-        ramp = self._ramps[link]
-        fraction = min(1.0, ramp.fraction + ramp_fraction(elapsed, ramp.duration))
-        ramp = self._ramps[link] = ramp._replace(fraction=fraction)
-        self.dynamics.set_payload(link, *ramp.payload)
-        if fraction == 1.0:
-            del self._ramps[link]
-
-    def _fade_wrench(self, link: str, now: float, elapsed: float) -> None:
-        wrench = self._wrenches[link]
-        if now < wrench.time:  # the clock was set back
-            self._wrenches[link] = wrench = wrench._replace(time=now)
-        if wrench.fraction == 1.0:
-            if now - wrench.time <= self.settings.wrench_timeout:
-                return
-            wrench = wrench._replace(duration=self.settings.load_ramp)
-        fraction = max(0.0, wrench.fraction - ramp_fraction(elapsed, wrench.duration))
-        self._write_wrench(link, wrench._replace(fraction=fraction))
-        if not fraction:
-            del self._wrenches[link]
-
-    def _write_wrench(self, link: str, wrench: _Wrench) -> None:
-        self._wrenches[link] = wrench
-        fraction = wrench.fraction
-        self.dynamics.set_external_wrench(link, fraction * wrench.force, fraction * wrench.moment)
-
-    def _ramp_gravity(self, elapsed: float) -> None:
-        difference = self._target - self.gravity
-        distance = float(np.linalg.norm(difference))
-        step = -STANDARD_GRAVITY[2] * ramp_fraction(elapsed, self._gravity_ramp)
-        if distance <= step or not self._gravity_ramp:
-            self.gravity = self._target
-        else:
-            self.gravity = self.gravity + (step / distance) * difference
-        self._write_base()
 
     def _write_base(self) -> None:
         self._write_gravity(self.include_gravity)
@@ -358,6 +297,4 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
             'the inertia of the payload is physically impossible: one of the principal moments '
             f'({moments} kg m^2) exceeds the sum of the others'
         )
-    # Remove negative moments due to rounding, because their blends would be rejected.
-    shift = max(0.0, -float(principal[0]))
-    return payload._replace(inertia=payload.inertia + shift * np.eye(3))
+    return payload

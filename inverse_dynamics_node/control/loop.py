@@ -18,7 +18,7 @@ from .contact import ExternalEffortEstimator
 from .control_law import ControlLaw, DriveReference, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
-from .settings import LoadSettings, MeasuredGravity, Settings, StalePolicy
+from .settings import MeasuredGravity, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, StateSupervisor
 
@@ -103,7 +103,7 @@ class Controller:
             settings.stop_ramp,
         )
         if has_same_inputs:
-            self.shaper.begin(self.law.last_efforts(), self.law.added)
+            self.blend_model()
         else:
             self.blend()
 
@@ -111,11 +111,19 @@ class Controller:
         """
         Fade from the last command to the computed efforts over the start ramp.
 
-        Call this method when the computed efforts change without motion, for example after a
-        change of the robot description or gravity.
+        Call this method when the computed efforts change without motion.
 
         """
         self.shaper.begin()
+
+    def blend_model(self) -> None:
+        """
+        Fade out the effect of a change of the dynamics, such as a new payload.
+
+        Unlike after `blend`, the next command already follows new joint states and references.
+
+        """
+        self.shaper.begin(self.law.last_efforts(), self.law.added)
 
     @property
     def phase(self) -> Phase:
@@ -228,13 +236,12 @@ class ControlLoop:
     Connects the joint states, external loads, dynamics and controller of one robot.
 
     ``joints`` lists the m joints to command, in the order of the commands. An empty list means all
-    joints. ``settings`` apply to the controller, and ``load_settings`` to the external loads.
-    ``period`` is the time between steps [s]; 0 if each joint state triggers a step. ``gravity`` is
-    the free-fall acceleration in the frame of the base link [m/s^2]; see `ExternalLoads`.
-    ``locked`` contains the positions of locked joints; see `JointStateCollector`. Locked joints
-    cannot be commanded. If ``has_imu`` is true, there are no commands before the first message
-    about the motion of the base. A ConfigurationError is raised if an argument does not fit the
-    robot.
+    joints. ``settings`` apply to the controller and to the external loads. ``period`` is the time
+    between steps [s]; 0 if each joint state triggers a step. ``gravity`` is the free-fall
+    acceleration in the frame of the base link [m/s^2]; see `ExternalLoads`. ``locked`` contains
+    the positions of locked joints; see `JointStateCollector`. Locked joints cannot be commanded.
+    If ``has_imu`` is true, there are no commands before the first message about the motion of the
+    base. A ConfigurationError is raised if an argument does not fit the robot.
 
     """
 
@@ -244,7 +251,6 @@ class ControlLoop:
         joints: Sequence[str] = (),
         settings: Settings | None = None,
         period: float = 0.0,
-        load_settings: LoadSettings | None = None,
         gravity: ArrayLike = STANDARD_GRAVITY,
         base_link: str = '',
         locked: Mapping[str, float] | None = None,
@@ -259,7 +265,7 @@ class ControlLoop:
         commanded = self.controller.joints
         self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
         self._set_velocity_timeout()
-        self.loads = ExternalLoads(self.dynamics, load_settings, gravity, base_link)
+        self.loads = ExternalLoads(self.dynamics, settings, gravity, base_link)
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.measured_gravity = MeasuredGravity.AS_COMMANDED
         self.reference: Reference | None = None
@@ -309,9 +315,9 @@ class ControlLoop:
         ramp_step = controller.pass_time(now)
         collector.rest_late(now)
         state = collector.state()
-        # Loads need no ramp before the first command, because no effort acts.
-        elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
-        if self.loads.update(now, elapsed) or collector.has_jumped:
+        if self.loads.update(now):
+            controller.blend_model()
+        if collector.has_jumped:
             if collector.has_leapt:
                 controller.law.equilibrium = None
             collector.has_jumped = collector.has_leapt = False
@@ -336,7 +342,19 @@ class ControlLoop:
     ) -> None:
         """Set the motion of the base; see `ExternalLoads.set_base_motion`."""
         if self.loads.set_base_motion(now, specific_force, angular_velocity):
-            self.controller.blend()
+            self.controller.blend_model()
+
+    def set_gravity(self, now: float, gravity: ArrayLike) -> None:
+        """Set gravity from a message; see `ExternalLoads.set_gravity`."""
+        if self.loads.set_gravity(gravity, now):
+            self.controller.blend_model()
+
+    def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
+        """Set the payload of a link; see `ExternalLoads.set_payload`."""
+        is_new = self.loads.set_payload(link, mass, com, inertia)
+        if is_new:
+            self.controller.blend_model()
+        return is_new
 
     def set_external_wrench(
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
@@ -344,7 +362,7 @@ class ControlLoop:
         """Apply a wrench to a link; see `ExternalLoads.set_external_wrench`."""
         has_jumped = self.loads.set_external_wrench(now, link, force, moment)
         if has_jumped:
-            self.controller.blend()
+            self.controller.blend_model()
         return has_jumped
 
     def missing(

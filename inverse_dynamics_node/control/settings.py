@@ -1,5 +1,5 @@
 """
-Settings of the controller and of the external loads.
+Settings of the control loop.
 
 Each setting is also a parameter of the node, and is declared only once.
 """
@@ -192,6 +192,14 @@ class Settings:
         maximum=200.0,
     )
 
+    wrench_timeout: float = setting(
+        0.1,
+        'Time without a new message after which an external wrench ends',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+
     def expanded(self, m: int) -> dict[str, Floats]:
         """
         Return each setting of type `PerJoint` as an array of shape (m,), by name.
@@ -213,25 +221,3 @@ class Settings:
 
 LARGEST_GRAVITY = 100.0
 """Largest accepted component of gravity [m/s^2], about ten times the gravity of the earth."""
-
-
-@dataclass(frozen=True)
-class LoadSettings:
-    """Timeout and ramp of the external loads."""
-
-    load_ramp: float = setting(
-        0.5,
-        'Time for ramping in a payload, and for fading out an external wrench',
-        'Within this time, gravity changes by at most 9.8 m/s^2. A new value does not affect a '
-        'ramp in progress',
-        unit='s',
-        minimum=0.0,
-        maximum=60.0,
-    )
-    wrench_timeout: float = setting(
-        0.1,
-        'Time without a new message after which an external wrench fades out',
-        unit='s',
-        minimum=0.0,
-        maximum=60.0,
-    )

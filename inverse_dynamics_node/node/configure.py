@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 
 import numpy as np
 
 from ..control.loop import ControlLoop
-from ..control.settings import LoadSettings
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
@@ -26,7 +24,6 @@ _DRIVES = (
     'spring_stiffness',
     'spring_rest',
 )
-_LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
@@ -41,7 +38,6 @@ def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> Con
         configuration.joints,
         configuration,
         configuration.period,
-        configuration,
         configuration.gravity,
         configuration.base_link,
         configuration.locked_positions,
@@ -90,8 +86,7 @@ def apply_configuration(
     }
     if not changed.isdisjoint(_DRIVES):
         _apply_drives(loop, configuration, of_joint)
-    if not changed.isdisjoint(_LOADS):
-        loop.loads.apply(configuration, configuration.include_gravity)
+    loop.loads.apply(configuration, configuration.include_gravity)
     loop.measured_gravity = configuration.measured_gravity
     loop.external_effort_estimator.scale[loop.index] = of_joint['measured_effort_scale']
     if before is not None and 'gravity' in changed and not loop.has_imu:

@@ -140,7 +140,7 @@ class Inputs:
     def _on_payload(self, message: InertiaStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
             link, mass, com, inertia = _read_payload(message)
-            if loop.loads.set_payload(link, mass, com, inertia):
+            if loop.set_payload(link, mass, com, inertia):
                 place = f'on link {link!r}'
                 text = f'payload of {mass:g} kg {place}' if mass else f'payload {place} removed'
                 self._log.report_message('~/payload', text, is_problem=False)
@@ -171,7 +171,7 @@ class Inputs:
             if loop.has_imu:
                 raise ConfigurationError('the IMU measures gravity (base_motion: imu)')
             gravity = _read_vector(message.vector)
-            loop.loads.set_gravity(gravity)
+            loop.set_gravity(now, gravity)
             self._report_gravity(loop, gravity)
 
         self._handle('~/gravity', store)

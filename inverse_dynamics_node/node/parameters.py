@@ -17,7 +17,6 @@ from typing import get_type_hints
 
 from ..control.settings import (
     LARGEST_GRAVITY,
-    LoadSettings,
     MeasuredGravity,
     PerJoint,
     Settings,
@@ -38,7 +37,7 @@ class BaseMotion(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Configuration(Settings, LoadSettings):
+class Configuration(Settings):
     """The checked values of all parameters."""
 
     robot_description: str = parameter(
@@ -239,7 +238,7 @@ LOCKED_POSITION = Parameter(
     is_live=False,
 )
 _HINTS = get_type_hints(Configuration)
-_OF_CORE = {each.name for settings in (Settings, LoadSettings) for each in fields(settings)}
+_OF_CORE = {each.name for each in fields(Settings)}
 PARAMETERS = {
     each.name: Parameter(kind_of(_HINTS[each.name]), **each.metadata)
     # Parameters of the robot and the process come first, then those of the control loop.

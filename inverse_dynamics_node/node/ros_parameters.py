@@ -32,6 +32,7 @@ _REMOVED = {
     'external_efforts_cutoff': '~/external_efforts are filtered at 10 Hz',
     'imu_filter_cutoff': 'the motion of the base is filtered at 20 Hz',
     'imu_timeout': 'the motion of the base counts as lost after 0.2 s',
+    'load_ramp': 'loads are blended in over start_ramp',
     'payload_transition_time': 'a new payload is blended in over start_ramp',
     'stop_timeout': 'a stop is damped for at most 20 s',
     'uncommanded_state_timeout': 'a joint that is not commanded counts as late after 1 s',

@@ -50,10 +50,6 @@ class RigidBody(NamedTuple):
         """Express the body in a new frame; ``position`` [m] is the old origin in the new frame."""
         return RigidBody(self.mass, position + self.com, self.inertia)
 
-    def scale(self, factor: float) -> RigidBody:
-        """Return the body with its mass and inertia multiplied by a factor."""
-        return RigidBody(factor * self.mass, self.com, factor * self.inertia)
-
     def parameters(self) -> Floats:
         """
         Return the ten inertial parameters, shape (10,).

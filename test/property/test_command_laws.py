@@ -7,11 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
+import pytest
 from robot_files import ROOT
-from states import Controller, joint_state
+from states import Controller, joint_state, store_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 Q, QD = np.array([0.4, -0.7]), np.array([0.3, 0.2])
@@ -207,3 +209,66 @@ def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
     for _ in range(12):
         watched.step(0.05)
     assert watched.last.tolist() == [0.0, 0.0]
+
+
+LINK = ROBOT.link_names[-1]
+loads = st.one_of(
+    st.tuples(st.just('payload'), st.sampled_from([0.0, 0.5, 3.0])),
+    st.tuples(st.just('wrench'), st.sampled_from([0.0, 20.0, -20.0])),
+    st.tuples(st.just('gravity'), st.sampled_from([0.0, 0.1, 1.0, -9.8])),
+    st.tuples(st.just('turning'), st.sampled_from([0.001, 0.01, 0.019])),
+)
+
+
+def set_load(loop, now, kind, value):
+    link, nothing = LINK, np.zeros(3)
+    if kind == 'payload':
+        loop.set_payload(link, value, nothing, np.zeros((3, 3)))
+    elif kind == 'wrench':
+        loop.set_external_wrench(now, link, (value, 0.0, 0.0), nothing)
+    elif kind == 'gravity':
+        loop.set_gravity(now, (value, 0.0, -9.8))
+    else:  # slowly, as a base that turns
+        loop.set_gravity(now, loop.loads.gravity + np.array([10.0 * value, 0.0, 0.0]))
+
+
+@given(
+    st.lists(st.tuples(loads, st.integers(0, 12)), max_size=30),
+    st.sampled_from([SHORTEST, 1.0]),
+    st.sampled_from([0.0, 0.05, 1.0]),
+)
+def test_efforts_change_no_faster_than_a_blend_whatever_loads_arrive(events, ramp, timeout):
+    chosen = Settings(start_ramp=ramp, wrench_timeout=timeout, use_urdf_effort_limits=False)
+    loop, now, arrivals = ControlLoop(ROBOT, settings=chosen), 100.0, {}
+    last, largest, at_once = np.zeros(2), np.zeros(2), np.zeros(2)
+
+    def step():
+        nonlocal now, last, largest, at_once
+        now += 0.01
+        store_state(loop.collector, now, ROBOT.joint_names, Q, QD)
+        command = loop.step(now).efforts.copy()
+        largest = np.maximum(largest, np.abs(loop.dynamics.efforts(Q, QD, np.zeros(2))))
+        bound = 2.0 * largest * 0.01 / ramp + at_once + ROUNDING
+        assert (np.abs(command - last) <= bound).all()
+        last, at_once = command, np.zeros(2)
+
+    for _ in range(200):
+        step()
+    for (kind, value), steps in events:
+        before = loop.dynamics.efforts(Q, QD, np.zeros(2))
+        set_load(loop, now, kind, value)
+        after = loop.dynamics.efforts(Q, QD, np.zeros(2))
+        largest = np.maximum(largest, np.abs(after))
+        name = 'gravity' if kind == 'turning' else kind
+        longest = {'wrench': timeout, 'turning': 0.05}.get(kind, -1.0)
+        if now - arrivals.get(name, -math.inf) <= longest:
+            at_once += np.abs(after - before)
+        arrivals[name] = now
+        for _ in range(steps):
+            step()
+    for _ in range(300):
+        step()
+    expected = InverseDynamics(ROBOT, loop.loads.gravity)
+    for link, payload in loop.loads.payloads.items():
+        expected.set_payload(link, *payload)
+    assert last == pytest.approx(expected.efforts(Q, QD, np.zeros(2)))

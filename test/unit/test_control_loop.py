@@ -12,7 +12,7 @@ from inverse_dynamics_node import (
 from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
-from inverse_dynamics_node.control.settings import LoadSettings, MeasuredGravity, Mode, Settings
+from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings
 from inverse_dynamics_node.control.status_text import describe_implausible
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
@@ -35,7 +35,7 @@ def report_all(loop, now=0.0):
 def test_a_payload_affects_the_next_command():
     loop = report_all(ControlLoop(MODEL, settings=AT_ONCE, period=0.5))
     loop.step(0.0)
-    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     store_state(loop.collector, 0.5, NAMES, Q, np.zeros(6))
     expected = InverseDynamics(MODEL)
     expected.set_payload(TIP, 2.0)
@@ -166,8 +166,6 @@ def test_inputs_are_kept_for_a_description_with_other_joints():
     loop = report_all(ControlLoop(MODEL))
     loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     loop.loads.set_gravity((0.0, 3.0, 0.0))
-    for now in (0.0, 9.0, 18.0):
-        loop.loads.update(now, 9.0)
     other = ControlLoop(MODEL, NAMES[:2])
     assert other.continue_from(loop, is_active=False) == []
     assert other.loads.payloads[TIP].mass == 2.0
@@ -357,16 +355,6 @@ def test_ramps_advance_at_the_period_of_a_slow_loop():
     assert loop.controller.shaper.gain == pytest.approx(0.5)
 
 
-def test_the_ramp_of_loads_can_be_set():
-    loop = report_all(
-        ControlLoop(MODEL, settings=AT_ONCE, load_settings=LoadSettings(load_ramp=0.0))
-    )
-    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
-    expected = InverseDynamics(MODEL)
-    expected.set_payload(TIP, 2.0)
-    assert loop.step(0.0).efforts == pytest.approx(expected.gravity_efforts(Q))
-
-
 def test_external_efforts_are_measured_minus_modelled_efforts():
     loop = ControlLoop(MODEL)
     hold, push = InverseDynamics(MODEL).gravity_efforts(Q), np.arange(6.0)
@@ -383,7 +371,7 @@ def test_external_efforts_are_measured_minus_modelled_efforts():
 def external_efforts_of(contained, measured_gravity, include_gravity, scale=1.0):
     """Return the estimate at rest, with a payload and with gravity from a topic."""
     loop = ControlLoop(MODEL, settings=AT_ONCE)
-    loop.loads.apply(LoadSettings(load_ramp=0.0), include_gravity)
+    loop.loads.apply(AT_ONCE, include_gravity)
     loop.loads.set_payload(TIP, 2.0, (0.0, 0.0, 0.1), np.zeros((3, 3)))
     loop.loads.set_gravity((1.0, 0.0, -9.6))
     loop.measured_gravity = measured_gravity
@@ -589,49 +577,6 @@ def test_a_stop_ramp_does_not_catch_up_after_a_suspension_or_a_jump_of_the_clock
     assert not later[-1].any()
 
 
-@pytest.mark.parametrize('ramp', [0.0, 0.05, 60.0])
-def test_a_payload_keeps_the_ramp_with_which_it_began(ramp):
-    loop, now = held()
-    loop.loads.set_payload(HAND, 5.0, np.zeros(3), np.zeros((3, 3)))
-    before = play_arm(loop, now, 0.25)
-    loop.loads.apply(LoadSettings(load_ramp=ramp), include_gravity=True)
-    after = play_arm(loop, now + 0.25, 0.3)
-    expected = InverseDynamics(ARM)
-    expected.set_payload(HAND, 5.0)
-    assert after[-1] == pytest.approx(expected.gravity_efforts(LEVEL))
-    assert largest_step(before, after) <= 1.01 * 0.01 * np.abs(after[-1] - HOLD).max()
-
-
-def test_gravity_keeps_the_ramp_with_which_it_began():
-    loop, now = held()
-    loop.loads.set_gravity((0.0, 0.0, 0.0))
-    before = play_arm(loop, now, 0.25)
-    loop.loads.apply(LoadSettings(load_ramp=0.0), include_gravity=True)
-    after = play_arm(loop, now + 0.25, 0.3)
-    assert largest_step(before, after) <= 1.01 * 0.01 * np.abs(HOLD).max()
-    assert np.abs(after[-1]).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    'change', [{'load_ramp': 60.0}, {'load_ramp': 0.0}, {'wrench_timeout': 5.0}, 'clock']
-)
-def test_a_wrench_that_fades_neither_returns_nor_ends_at_once(change):
-    loop, now = held()
-    force = np.array([40.0, 0.0, 0.0])
-    whole = pushed(loop, now, force)
-    before = play_arm(loop, now + 1.0, 0.35)  # half of it has faded
-    assert before[-1] == pytest.approx(0.5 * (whole[-1] + HOLD), abs=1.5)
-    now += 1.35
-    if change == 'clock':
-        now -= 5.0
-    else:
-        loop.loads.apply(LoadSettings(**change), include_gravity=True)
-    after = play_arm(loop, now, 1.0)
-    # After a jump of the clock, a blend fades beside it.
-    assert largest_step(before, after) <= 2.02 * 0.01 * np.abs(whole[-1] - HOLD).max()
-    assert after[-1] == pytest.approx(HOLD)
-
-
 def pushed(loop, now, force):
     """Renew a wrench for a second; return the efforts."""
     efforts = []
@@ -649,7 +594,7 @@ def test_the_first_wrench_is_blended_in_and_a_renewed_one_acts_at_once():
     assert largest_step(last, efforts) <= 1.01 * 0.01 * np.abs(efforts[-1] - HOLD).max()
     loop.set_external_wrench(now + 1.0, HAND, np.array([-40.0, 0.0, 0.0]), np.zeros(3))
     assert play_arm(loop, now + 1.0, 0.005)[-1] == pytest.approx(2.0 * HOLD - efforts[-1])
-    play_arm(loop, now + 1.005, 0.3)  # it begins to fade
+    play_arm(loop, now + 1.005, 0.3)  # it ends, and is blended out
     last = loop.step(now + 1.305).efforts.copy()
     loop.set_external_wrench(now + 1.305, HAND, np.array([40.0, 0.0, 0.0]), np.zeros(3))
     assert play_arm(loop, now + 1.305, 0.005)[-1] == pytest.approx(last)
@@ -669,8 +614,20 @@ def test_a_wrench_that_was_renewed_too_late_is_blended_in_even_without_a_step_be
     assert loop.step(30.0).efforts == pytest.approx(last, abs=3.0)
 
 
+def test_gravity_that_turns_with_the_base_is_followed_at_once():
+    loop, now = held()
+    for k in range(100):
+        angle = 0.01 * k
+        gravity = 9.80665 * np.array([np.sin(angle), 0.0, -np.cos(angle)])
+        loop.set_gravity(now + 0.01 * k, gravity)
+        efforts = play_arm(loop, now + 0.01 * k, 0.01)
+    expected = InverseDynamics(ARM, gravity).gravity_efforts(LEVEL)
+    assert np.abs(expected - HOLD).max() > 10.0
+    assert efforts[-1] == pytest.approx(expected)
+
+
 def test_a_wrench_from_before_the_start_does_not_act():
-    loop = ControlLoop(ARM, load_settings=LoadSettings(load_ramp=60.0))
+    loop = ControlLoop(ARM)
     loop.set_external_wrench(0.0, HAND, np.array([40.0, 0.0, 0.0]), np.zeros(3))
     loop.start()
     assert play_arm(loop, 100.0, 1.5)[-1] == pytest.approx(HOLD)

@@ -42,13 +42,6 @@ def test_shift_moves_only_the_centre_of_mass(rng):
     assert_array_equal(shifted.inertia, body.inertia)
 
 
-def test_fractions_of_a_body_combine_to_the_body(rng):
-    (body,) = random_bodies(rng, 1)
-    whole = combine([body.scale(0.3), body.scale(0.7)])
-    for value, expected in zip(whole, body, strict=True):
-        assert_allclose(value, expected, atol=1e-12)
-
-
 def test_massless_bodies_keep_their_inertia():
     rotor = RigidBody(0.0, np.ones(3), np.diag([1e-3, 2e-3, 3e-3]))
     mass, com, inertia = combine([rotor, rotor])
