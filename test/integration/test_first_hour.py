@@ -213,6 +213,4 @@ def test_blocks_that_are_not_run_name_the_software_that_they_need():
         '# needs a colcon build',
         '# needs ros2_control',
         '# needs Isaac Sim',
-        '# needs two minutes of motion, and a recording of the second run as in step 4',
-        '# needs half a minute of computation',
     }
