@@ -11,8 +11,9 @@ ROBOTS = {
     'seven_dof': ROOT / 'test' / 'robots' / 'seven_dof.urdf',
     'branched': ROOT / 'test' / 'robots' / 'branched.urdf',
 }
-STANFORD_TOO = pytest.param('stanford', marks=pytest.mark.long)
-BRANCHED_TOO = pytest.param('branched', marks=pytest.mark.long)
+LONG = pytest.mark.long
+STANFORD_TOO = pytest.param('stanford', marks=LONG)
+BRANCHED_TOO = pytest.param('branched', marks=LONG)
 EVERY_ROBOT = pytest.mark.parametrize('name', ['seven_dof', BRANCHED_TOO, STANFORD_TOO])
 CHAIN_AND_TREE = pytest.mark.parametrize('name', ['seven_dof', 'branched', STANFORD_TOO])
 
@@ -71,3 +72,14 @@ def run(
     q = q + encoder_noise * rng.standard_normal(q.shape)
     qd = qd + 10.0 * encoder_noise * rng.standard_normal(q.shape) if has_velocities else None
     return InverseDynamics(robot), Recording(robot.joint_names, times, q, qd, efforts)
+
+
+def samples_of(recording, keep):
+    """Return a recording with some of the samples."""
+    velocities = recording.velocities
+    return recording._replace(
+        times=recording.times[keep],
+        positions=recording.positions[keep],
+        velocities=None if velocities is None else velocities[keep],
+        efforts=recording.efforts[keep],
+    )

@@ -35,6 +35,38 @@ def copy_sources(folder):
     shutil.copytree(ROOT, folder, ignore=ignore)
 
 
+def runner(folder, environment):
+    """Return a function that runs a command in a folder and waits for its end."""
+
+    def run(*command):
+        return subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600
+        )
+
+    return run
+
+
+def shared_memory_of_a_node(command, folder, environment):
+    """Start the node, end it when it waits for joint states; return its shared memory."""
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    lines, used = [], None
+    for line in process.stdout:  # ends when the process does
+        lines.append(line)
+        if 'no command yet' in line:
+            used = shared_memory_of(process.pid)
+            process.send_signal(signal.SIGINT)
+    assert process.wait(120) == 0, lines
+    assert any("robot 'stanford', 20.8 kg" in line for line in lines), lines
+    return used
+
+
 @pytest.mark.skipif(not COLCON.exists(), reason='colcon is not installed')
 @pytest.mark.parametrize(
     'options',
@@ -45,42 +77,17 @@ def copy_sources(folder):
 )
 def test_colcon_build_starts(tmp_path, domain_id, options):
     copy_sources(tmp_path / 'src' / 'inverse_dynamics_node')
-    environment = {
-        **os.environ,
-        'PATH': f'{Path(sys.executable).parent}:{os.environ["PATH"]}',
-        'ROS_DOMAIN_ID': str(domain_id),
-    }
-    subprocess.run(
-        [COLCON, 'build', *options], cwd=tmp_path, env=environment, check=True, timeout=300
-    )
+    path = f'{Path(sys.executable).parent}:{os.environ["PATH"]}'
+    environment = {**os.environ, 'PATH': path, 'ROS_DOMAIN_ID': str(domain_id)}
+    run = runner(tmp_path, environment)
+    built = run(COLCON, 'build', *options)
+    assert built.returncode == 0, built.stderr
     scripts = tmp_path / 'install/inverse_dynamics_node/lib/inverse_dynamics_node'
     assert (scripts / 'inverse_dynamics').exists()  # for `ros2 run`
-    process = subprocess.Popen(
-        ['sh', '-c', START],
-        cwd=tmp_path,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    lines, used = [], None
-    for line in process.stdout:  # ends when the process does
-        lines.append(line)
-        if 'no command yet' in line:
-            used = shared_memory_of(process.pid)  # none, if local_udp.xml is installed
-            process.send_signal(signal.SIGINT)
-    assert process.wait(120) == 0, lines
-    assert used == []
-    assert any("robot 'stanford', 20.8 kg" in line for line in lines), lines
+    # Without shared memory, local_udp.xml is installed.
+    assert shared_memory_of_a_node(['sh', '-c', START], tmp_path, environment) == []
     command = '. install/setup.sh; install/inverse_dynamics_node/lib/*/inverse_dynamics_node '
-    version = subprocess.run(
-        ['sh', '-c', f'{command} --version'],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    version = run('sh', '-c', f'{command} --version')
     declared = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
     assert version.stdout == f'inverse_dynamics_node {declared}\n', version.stderr
 
@@ -106,14 +113,7 @@ def test_documented_installation_runs_in_the_environment_of_the_workspace(tmp_pa
     environment.pop('VIRTUAL_ENV', None)
 
     def run(script):
-        return subprocess.run(
-            ['sh', '-e', '-c', ros + script],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
+        return runner(tmp_path, environment)('sh', '-e', '-c', ros + script)
 
     built = run('\n'.join(build))
     assert built.returncode == 0, built.stdout + built.stderr
@@ -182,14 +182,7 @@ def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
     urdf = tmp_path / 'venv/share/inverse_dynamics_node/config/stanford.urdf'
 
     def run(name, *arguments):
-        return subprocess.run(
-            [folder / name, *arguments],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=600,
-        )
+        return runner(tmp_path, environment)(folder / name, *arguments)
 
     result = run('pip', 'install', '--quiet', f'{wheel}[cli]')
     assert result.returncode == 0, result.stderr
@@ -207,17 +200,5 @@ def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
     verdict = re.search(r'^(PASSED: |FAILED: [\d.]+ commands/s received, )', result.stdout, re.M)
     assert verdict, result.stdout + result.stderr
     given = f'robot_description_file:={urdf}'
-    node = subprocess.Popen(
-        [folder / 'inverse_dynamics_node', '--ros-args', '-p', 'dry_run:=true', '-p', given],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    lines = []
-    for line in node.stdout:
-        lines.append(line)
-        if 'no command yet' in line:
-            node.send_signal(signal.SIGINT)
-    assert node.wait(120) == 0, lines
-    assert any("robot 'stanford', 20.8 kg" in line for line in lines), lines
+    command = [folder / 'inverse_dynamics_node', '--ros-args', '-p', 'dry_run:=true', '-p', given]
+    assert shared_memory_of_a_node(command, tmp_path, environment) is not None

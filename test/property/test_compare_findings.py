@@ -15,7 +15,7 @@ from inverse_dynamics_node.report.diagnosis_text import diagnosis_warning
 from inverse_dynamics_node.report.tables import motion_notes
 import numpy as np
 import pytest
-from runs import EVERY_ROBOT, run
+from runs import EVERY_ROBOT, LONG, run, samples_of
 from scipy.signal import butter, sosfiltfilt
 import yaml
 
@@ -30,16 +30,6 @@ def kinds(result):
 def states(recording):
     q, qd = recording.positions, recording.velocities
     return q, qd, np.gradient(qd, recording.times, axis=0)
-
-
-def between(recording, begin, end):
-    used = (recording.times >= begin) & (recording.times < end)
-    return recording._replace(
-        times=recording.times[used],
-        positions=recording.positions[used],
-        velocities=None if recording.velocities is None else recording.velocities[used],
-        efforts=recording.efforts[used],
-    )
 
 
 # ---- Credible causes -----------------------------------------------------------------------
@@ -173,13 +163,13 @@ def test_standard_errors_are_limited_to_random_errors_in_the_headline():
 
 
 @EVERY_ROBOT
-@pytest.mark.parametrize('begin', [0.0, 5.0, 10.0, 15.0])
+@pytest.mark.parametrize('begin', [0.0, 10.0])
 def test_nothing_is_found_in_a_short_recording(name, begin):
     dynamics, recording = run(name, friction=(1.0, 1.0))
     efforts = recording.efforts.copy()
     efforts[:, [1, 2]] = efforts[:, [2, 1]]
-    short = between(recording._replace(efforts=efforts), begin, begin + 2.5)
-    result = diagnose_recording(dynamics, short)
+    used = (recording.times >= begin) & (recording.times < begin + 2.5)
+    result = diagnose_recording(dynamics, samples_of(recording._replace(efforts=efforts), used))
     assert kinds(result) == []
     assert 'too short' in verdict(result)
 
@@ -230,7 +220,7 @@ def test_velocities_that_lag_the_positions_are_not_used(name, lag):
 
 
 @EVERY_ROBOT
-@pytest.mark.parametrize('rate', [125.0, pytest.param(500.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize('rate', [125.0, pytest.param(500.0, marks=LONG)])
 def test_efforts_that_were_filtered_before_are_reported(name, rate):
     dynamics, recording = run(name, friction=(1.0, 3.0), rate=rate)
     sos = butter(4, 2.0, fs=rate, output='sos')
@@ -250,17 +240,9 @@ def test_efforts_that_were_filtered_before_are_reported(name, rate):
 # ---- Many wrong links ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ('name', 'seed'),
-    [
-        ('branched', 0),
-        pytest.param('seven_dof', 2, marks=pytest.mark.long),
-        pytest.param('stanford', 0, marks=pytest.mark.long),
-    ],
-)
-def test_many_wrong_links_are_not_reported_as_a_payload(name, seed):
-    dynamics, recording = run(name, seed=seed, rate=100.0, friction=(1.0, 1.0))
-    robot, rng = dynamics.robot, np.random.default_rng(seed)
+def test_many_wrong_links_are_not_reported_as_a_payload():
+    dynamics, recording = run('branched', rate=100.0, friction=(1.0, 1.0))
+    robot, rng = dynamics.robot, np.random.default_rng(0)
     factor = np.exp(0.3 * rng.standard_normal(len(robot.mass)))
     shift = 0.03 * rng.standard_normal(robot.com.shape) * (robot.mass > 0.0)[:, None]
     inertia = robot.inertia * factor[:, None, None]
@@ -289,7 +271,7 @@ def under_gravity(robot, q, gravity):
     ('name', 'link', 'begin', 'end'),
     [
         ('branched', 'right_forearm', 3.0, 20.0),
-        pytest.param('seven_dof', 'tool0', 6.0, 12.0, marks=pytest.mark.long),
+        pytest.param('seven_dof', 'tool0', 6.0, 12.0, marks=LONG),
     ],
 )
 def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin, end):
@@ -309,27 +291,9 @@ def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin,
     assert f'From {begin:.1f} s to' in verdict(result)
 
 
-@pytest.mark.parametrize('name', ['stanford', pytest.param('seven_dof', marks=pytest.mark.long)])
-def test_a_push_is_reported_with_its_times(name):
-    dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
-    times = recording.times
-    push = np.where((times >= 4.0) & (times < 9.0), np.sin(np.pi * (times - 4.0) / 5.0), 0.0)
-    strength = np.linspace(8.0, 1.0, len(recording.joint_names))
-    result = diagnose_recording(
-        dynamics, recording._replace(efforts=recording.efforts + np.outer(push, strength))
-    )
-    (diagnosis,) = result.faults
-    assert diagnosis.kind.value == 'external_force'
-    assert set(recording.joint_names[:2]) <= set(diagnosis.joints)
-    assert diagnosis.interval == pytest.approx((4.0, 9.0), abs=0.4)
-    # Friction is fitted to the rest of the recording.
-    assert result.joints[0].friction.coulomb == pytest.approx(1.0, rel=0.1)
-    assert result.explained_corrected > 0.999
-
-
 @pytest.mark.parametrize(
     ('name', 'begin'),
-    [('branched', 5.0), pytest.param('seven_dof', 0.0, marks=pytest.mark.long)],
+    [('branched', 5.0), pytest.param('seven_dof', 0.0, marks=LONG)],
 )
 def test_a_base_that_tilts_is_reported_with_its_times(name, begin):
     dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
@@ -345,12 +309,3 @@ def test_a_base_that_tilts_is_reported_with_its_times(name, begin):
     assert diagnosis.interval[1] > 19.0
     assert result.explained_corrected > 0.99
     assert result.explained_corrected > result.explained + 0.01
-
-
-def test_a_base_that_does_not_move_is_not_reported_as_tilting():
-    gravity = 9.80665 * np.array([0.0, math.sin(0.3), -math.cos(0.3)])
-    recording = run(
-        'seven_dof', rate=100.0, friction=(1.0, 1.0), act=lambda real: real.set_gravity(gravity)
-    )
-    (diagnosis,) = diagnose_recording(*recording).faults
-    assert (diagnosis.kind.value, diagnosis.interval) == ('mounting', None)

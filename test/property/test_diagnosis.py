@@ -1,4 +1,4 @@
-"""Diagnoses of simulated recordings with known faults."""
+"""Diagnoses of simulated recordings, healthy or with the flaws of real ones."""
 
 import math
 
@@ -19,7 +19,7 @@ from inverse_dynamics_node.report.diagnosis_text import headline
 import numpy as np
 import pytest
 from robot_files import ROOT
-from runs import CHAIN_AND_TREE, EVERY_ROBOT, exciting, ROBOTS, run
+from runs import CHAIN_AND_TREE, EVERY_ROBOT, exciting, LONG, ROBOTS, run, samples_of
 
 # Without compiled functions these tests take an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
@@ -52,32 +52,25 @@ def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocit
 
 
 @EVERY_ROBOT
-@pytest.mark.parametrize('rate', [40.0, 100.0, pytest.param(1000.0, marks=pytest.mark.long)])
-def test_recordings_of_any_rate_are_explained(name, rate):
-    result = diagnose_recording(
-        *run(name, rate=rate, has_velocities=False, friction=friction_of(name))
-    )
-    assert kinds(result) == []
-    assert result.explained_corrected > 0.995
-
-
-@EVERY_ROBOT
-@pytest.mark.parametrize('has_velocities', [True, False])
-def test_friction_is_found_within_its_errors(name, has_velocities):
-    damping, coulomb = friction_of(name)
-    friction = damping, coulomb
-    recording = run(name, rate=200.0, has_velocities=has_velocities, friction=friction)
+@pytest.mark.parametrize(
+    ('rate', 'has_velocities'),
+    [(40.0, False), (200.0, False), (200.0, True), pytest.param(1000.0, False, marks=LONG)],
+)
+def test_friction_is_found_within_its_errors_at_any_rate(name, rate, has_velocities):
+    friction = damping, coulomb = friction_of(name)
+    recording = run(name, rate=rate, has_velocities=has_velocities, friction=friction)
     result = diagnose_recording(*recording)
     assert kinds(result) == []
     assert result.explained < 0.97
-    assert result.explained_corrected > 0.998
+    assert result.explained_corrected > 0.995
     for joint, d, c in zip(result.joints, damping, coulomb, strict=True):
         fit = joint.friction
         assert fit.unknown_because == ''
         assert abs(fit.damping - d) < 5.0 * fit.damping_error
         assert abs(fit.coulomb - c) < 5.0 * fit.coulomb_error
-        assert fit.damping == pytest.approx(d, rel=0.05)
-        assert fit.coulomb == pytest.approx(c, rel=0.05)
+        if rate > 100.0:
+            assert fit.damping == pytest.approx(d, rel=0.05)
+            assert fit.coulomb == pytest.approx(c, rel=0.05)
 
 
 def test_an_arm_at_rest_gives_no_diagnosis():
@@ -96,6 +89,8 @@ def test_an_arm_at_rest_gives_no_diagnosis():
     for joint in result.joints:
         assert math.isnan(joint.explained)
         assert math.isnan(joint.scale)
+        assert 'the largest speed of this joint was' in joint.friction.unknown_because
+        assert (joint.friction.damping, joint.friction.coulomb) == (0.0, 0.0)
 
 
 def test_a_joint_held_by_friction_does_not_spoil_the_rest():
@@ -126,25 +121,6 @@ def test_friction_of_the_model_is_included_in_the_fit():
 # ---- Faults --------------------------------------------------------------------------------
 
 
-@EVERY_ROBOT
-def test_finds_the_joint_with_a_swapped_sign(name):
-    dynamics, recording = run(name, friction=friction_of(name))
-    for j, joint in list(enumerate(recording.joint_names))[::2]:
-        efforts = recording.efforts.copy()
-        efforts[:, j] *= -1.0
-        result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
-        assert [(d.kind.value, d.joints) for d in result.faults] == [('sign', (joint,))]
-        assert headline(result.faults[0]) == f'{joint} reports efforts with the wrong sign'
-        assert result.explained_corrected > 0.998
-
-
-def test_finds_swapped_signs_of_all_joints():
-    dynamics, recording = run('stanford', friction=friction_of('stanford'))
-    result = diagnose_recording(dynamics, recording._replace(efforts=-recording.efforts))
-    assert kinds(result) == ['sign']
-    assert 'all joints' in headline(result.faults[0])
-
-
 def test_finds_currents_with_their_factors():
     dynamics, recording = run('seven_dof', friction=(2.0, 2.0), rate=500.0)
     factors = np.array([0.05, 0.08, 0.1, 0.2, 0.4, 0.6, 0.7])
@@ -163,23 +139,6 @@ def test_finds_currents_with_their_factors():
         assert 'unit' in result.joints[-1].friction.unknown_because
 
 
-def test_finds_another_unit():
-    dynamics, recording = run('branched', friction=(0.3, 0.3))
-    result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts * 1000.0))
-    (diagnosis,) = result.faults
-    assert diagnosis.kind.value == 'unit'
-    assert '1000 times too large' in headline(diagnosis)
-
-
-@EVERY_ROBOT
-def test_finds_compensated_gravity(name):
-    dynamics, recording = run(name, friction=friction_of(name))
-    lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
-    result = diagnose_recording(dynamics, recording._replace(efforts=lacking))
-    assert kinds(result) == ['gravity_compensated']
-    assert result.explained_corrected > 0.99
-
-
 @EVERY_ROBOT
 @pytest.mark.parametrize('in_commands', [False, True])
 def test_gravity_may_be_left_out_of_what_is_measured(name, in_commands):
@@ -194,20 +153,6 @@ def test_gravity_may_be_left_out_of_what_is_measured(name, in_commands):
     result = diagnose_recording(dynamics, recording, convention=convention)
     assert kinds(result) == []
     assert result.explained_corrected > 0.99
-
-
-@CHAIN_AND_TREE
-@pytest.mark.parametrize(('mass', 'com'), [(1.0, (0.02, 0.03, 0.1)), (3.0, (0.0, 0.0, 0.0))])
-def test_finds_a_payload(name, mass, com):
-    recording = run(
-        name, friction=friction_of(name), act=lambda real: real.set_payload(TIP[name], mass, com)
-    )
-    result = diagnose_recording(*recording)
-    (diagnosis,) = result.faults
-    assert (diagnosis.kind.value, diagnosis.link) == ('payload', TIP[name])
-    assert diagnosis.values[0] == pytest.approx(mass, rel=0.03)
-    assert diagnosis.values[1:] == pytest.approx(com, abs=0.01)
-    assert result.explained_corrected > 0.998
 
 
 def test_finds_a_payload_on_a_given_link():
@@ -225,25 +170,6 @@ def test_a_payload_of_the_model_is_not_a_fault():
     assert kinds(diagnose_recording(dynamics, recording)) == []
 
 
-def test_finds_a_missing_tool():
-    dynamics, recording = run('seven_dof', friction=(0.5, 0.5))
-    dynamics.set_payload('tool0', 0.45)
-    (diagnosis,) = diagnose_recording(dynamics, recording).faults
-    assert diagnosis.kind.value == 'payload'
-    assert 'lacks' in headline(diagnosis)
-    assert diagnosis.values[0] == pytest.approx(-0.45, abs=0.02)
-
-
-@EVERY_ROBOT
-def test_finds_another_mounting(name):
-    gravity = 9.80665 * np.array([0.0, math.sin(0.3), -math.cos(0.3)])
-    recording = run(name, friction=friction_of(name), act=lambda real: real.set_gravity(gravity))
-    (diagnosis,) = diagnose_recording(*recording).faults
-    assert diagnosis.kind.value == 'mounting'
-    assert diagnosis.values == pytest.approx(gravity, abs=0.1)
-    assert '17 degrees' in headline(diagnosis)
-
-
 @EVERY_ROBOT
 def test_finds_the_inertia_of_rotors(name):
     n = len(friction_of(name)[0])
@@ -259,48 +185,22 @@ def test_finds_the_inertia_of_rotors(name):
         assert found.get(joint, inertia) == pytest.approx(inertia, rel=0.05)
 
 
-def test_finds_an_offset():
-    dynamics, recording = run('seven_dof', friction=friction_of('seven_dof'))
-    efforts = recording.efforts.copy()
-    efforts[:, 3] += 5.0
-    (diagnosis,) = diagnose_recording(dynamics, recording._replace(efforts=efforts)).faults
-    assert (diagnosis.kind.value, diagnosis.joints) == ('offset', ('elbow',))
-    assert diagnosis.values == pytest.approx((5.0,), abs=0.1)
-
-
-@EVERY_ROBOT
-def test_finds_another_order(name):
-    dynamics, recording = run(name, friction=friction_of(name))
-    efforts = recording.efforts.copy()
-    efforts[:, [1, 2]] = efforts[:, [2, 1]]
-    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
-    (diagnosis,) = result.faults
-    assert (diagnosis.kind.value, diagnosis.joints) == ('order', recording.joint_names[1:3])
-    assert result.explained_corrected > 0.998
-
-
-@pytest.mark.parametrize('value', [0.0, 3.5])
-def test_finds_a_driver_that_does_not_measure(value):
+def test_friction_of_a_joint_that_is_not_measured_or_explained_is_unknown(rng):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
-    efforts[:, 1] = value
+    efforts[:, 1] = 3.5
+    efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
     result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
-    (diagnosis,) = result.faults
-    assert (diagnosis.kind.value, diagnosis.joints) == ('not_measured', ('shoulder_lift',))
-    assert result.joints[1].friction.unknown_because == 'the effort of this joint was not measured'
+    assert [(d.kind.value, d.joints) for d in result.faults] == [
+        ('not_measured', ('shoulder_lift',)),
+        ('unexplained', ('elbow',)),
+    ]
+    reasons = [joint.friction.unknown_because for joint in result.joints]
+    assert reasons[1] == 'the effort of this joint was not measured'
+    assert reasons[3] == 'the model does not explain the effort of this joint'
     all_zero = diagnose_recording(dynamics, recording._replace(efforts=np.zeros_like(efforts)))
     assert kinds(all_zero) == ['not_measured']
     assert math.isnan(all_zero.explained)
-
-
-def test_reports_efforts_that_nothing_explains(rng):
-    dynamics, recording = run('seven_dof')
-    efforts = recording.efforts.copy()
-    efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
-    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
-    assert [(d.kind.value, d.joints) for d in result.faults] == [('unexplained', ('elbow',))]
-    reason = result.joints[3].friction.unknown_because
-    assert reason == 'the model does not explain the effort of this joint'
 
 
 def test_finds_several_faults_at_once():
@@ -353,16 +253,6 @@ def test_faults_are_found_on_any_motion(name, seed, mass, com, friction):
 # ---- Unknown friction ----------------------------------------------------------------------
 
 
-def only(recording, keep):
-    velocities = recording.velocities
-    return recording._replace(
-        times=recording.times[keep],
-        positions=recording.positions[keep],
-        velocities=None if velocities is None else velocities[keep],
-        efforts=recording.efforts[keep],
-    )
-
-
 def swinging(positions, velocities, accelerations):
     """Return a recording of a pendulum with friction on a given motion at 500 Hz."""
     dynamics = InverseDynamics(load_urdf(ROOT / 'test' / 'robots' / 'pendulum.urdf'))
@@ -371,14 +261,6 @@ def swinging(positions, velocities, accelerations):
     times = 0.002 * np.arange(len(positions))
     recording = Recording(('swing',), times, *states[:2], dynamics.efforts(*states))
     return InverseDynamics(dynamics.robot), recording
-
-
-def test_friction_of_a_joint_at_rest_is_unknown():
-    result = diagnose_recording(*swinging(np.ones(5000), np.zeros(5000), np.zeros(5000)))
-    fit = result.joints[0].friction
-    assert 'the largest speed of this joint was' in fit.unknown_because
-    assert (fit.damping, fit.coulomb) == (0.0, 0.0)
-    assert math.isnan(result.joints[0].explained)
 
 
 def test_friction_is_unknown_for_motion_in_one_direction():
@@ -406,7 +288,7 @@ def test_jitter_duplicates_and_lost_samples_are_tolerated(rng):
     keep = np.sort(
         np.concatenate([np.flatnonzero(rng.random(len(times)) > 0.1), np.arange(0, 9000, 50)])
     )
-    mangled = only(recording._replace(times=times), keep)
+    mangled = samples_of(recording._replace(times=times), keep)
     result = diagnose_recording(dynamics, mangled)
     assert kinds(result) == []
     assert result.explained_corrected > 0.99
@@ -417,7 +299,7 @@ def test_jitter_duplicates_and_lost_samples_are_tolerated(rng):
 def test_signals_are_not_interpolated_across_gaps():
     dynamics, recording = run('branched', has_velocities=False)
     times = recording.times
-    result = diagnose_recording(dynamics, only(recording, (times < 8.0) | (times > 9.0)))
+    result = diagnose_recording(dynamics, samples_of(recording, (times < 8.0) | (times > 9.0)))
     motion = result.motion
     assert 'differentiated in 2 pieces' in motion.notes[0]
     assert not ((motion.times > 7.95) & (motion.times < 9.05)).any()
@@ -504,6 +386,7 @@ def test_derivatives_are_accurate_and_described():
         ({'positions': np.zeros((3, 5))}, 'positions have shape'),
         ({'efforts': np.full((2000, 5), np.nan)}, 'no joint has a measured effort'),
         ({'times': np.arange(2000.0)}, '1 samples/s, expected at least 20'),
+        ({'times': 1e-4 * np.arange(2000.0)}, 'too short to be differentiated'),
         ({'times': np.full(2000, np.nan)}, 'one of the times is nan'),
         ({'times': np.tile(0.01 * np.arange(1000), 2)}, 'time goes back by 9.99 s, 9.99 s after'),
     ],
@@ -512,12 +395,6 @@ def test_invalid_recordings_are_explained(change, words):
     dynamics, recording = run('branched')
     with pytest.raises(RecordingError, match=words):
         diagnose_recording(dynamics, recording._replace(**change))
-
-
-def test_short_recordings_are_rejected():
-    dynamics, recording = run('branched')
-    with pytest.raises(RecordingError, match='too short to be differentiated'):
-        diagnose_recording(dynamics, only(recording, recording.times < 0.1))
 
 
 def test_an_unknown_link_is_an_error():
