@@ -93,16 +93,11 @@ def parameter_file() -> str:
 
 
 def parameter_table() -> str:
-    """Return a Markdown table of all parameters, followed by a list of details."""
+    """Return a Markdown table of all parameters."""
     parameters = {**PARAMETERS, f'{LOCKED}.<joint>': LOCKED_POSITION}
     rows = [_row(name, parameter) for name, parameter in parameters.items()]
-    details = [
-        fill(f'- `{name}`: {_squared(parameter.details)}.', 100, subsequent_indent='  ')
-        for name, parameter in parameters.items()
-        if parameter.details
-    ]
     head = ['| parameter | default | unit | live | range | meaning |', '|---|---|---|---|---|---|']
-    return '\n'.join([*head, *rows, '', *details]) + '\n'
+    return '\n'.join([*head, *rows]) + '\n'
 
 
 def _row(name: str, parameter: Parameter) -> str:
