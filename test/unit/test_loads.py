@@ -172,26 +172,6 @@ def test_friction_is_that_of_the_description_where_none_is_given():
     assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, 3.0 * qd, rtol=1e-12)
 
 
-def test_load_friction_is_a_fraction_of_the_effort_on_the_links():
-    q, qd, qdd = STATE
-    dynamics = InverseDynamics(ROBOT)
-    dynamics.set_payload(LINK, 1.5, (0.1, 0.0, 0.2), BOX)
-    dynamics.set_external_wrench(LINK, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
-    load = dynamics.efforts(q, qd, qdd)
-    dynamics.set_armature((0.8, 0.9))
-    bare = dynamics.efforts(q, qd, qdd)
-    assert np.abs(bare - load).min() > 0.1  # the inertia of the rotors does not load the gears
-    for eta in (np.array([0.3, 0.0]), np.array([0.0, 0.2])):
-        dynamics.set_friction(0.0, 0.0, (0.5, 0.8), eta)
-        expected = eta * np.abs(load) * np.tanh(qd / (0.5, 0.8))
-        assert np.abs(expected).max() > 0.1
-        assert_allclose(dynamics.efforts(q, qd, qdd) - bare, expected, rtol=1e-12, atol=1e-13)
-        assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, expected, rtol=1e-12)
-    assert (dynamics.gravity_efforts(q) == dynamics.efforts(q, 0.0 * qd, 0.0 * qdd)).all()
-    dynamics.set_friction(0.0, 0.0)
-    assert (dynamics.efforts(q, qd, qdd) == bare).all()
-
-
 @pytest.mark.parametrize('k', range(3))
 def test_efforts_may_overwrite_an_argument(k):
     dynamics = loaded()
