@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import contextlib
 import io
 import os
-import resource
 import signal
 import stat
 import sys
@@ -19,7 +18,6 @@ import warnings
 # takes almost a second. A signal during the import must also end the process cleanly.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_ADDRESS_SPACE = 1500 << 20  # [bytes]; rclpy, numpy and numba on two cores need 1.2 GB
 
 
 class _Stop:
@@ -43,11 +41,6 @@ class _Stop:
         for number in self._numbers:
             signal.signal(number, self._handle)
 
-    def release(self) -> None:
-        """Let the next signal end the process at once, even during a call that never returns."""
-        for number in self._numbers:
-            signal.signal(number, signal.SIG_DFL)
-
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
 
@@ -58,8 +51,8 @@ def main(args: Sequence[str] | None = None) -> int:
     _unblock_output()
     try:
         return _main(list(sys.argv if args is None else args), stop)
-    except Exception as error:
-        return _fail(_describe(error))
+    except Exception:
+        return _fail(f'stopped by an error\n{traceback.format_exc()}')
     finally:
         for number in _SIGNALS:  # a signal can no longer change the result
             signal.signal(number, signal.SIG_IGN)
@@ -85,13 +78,6 @@ def _main(args: list[str], stop: _Stop) -> int:
 
         print(f'inverse_dynamics_node {version()}')
         return 0
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
-        stop.release()  # a library may wait forever for memory while the node is created
-        _report(
-            f'warning: the address space is limited to {limit >> 20} MB (ulimit -v), expected at '
-            f'least {_ADDRESS_SPACE >> 20} MB; the process may fail to start, or hang'
-        )
     return _start(args, stop)
 
 
@@ -183,12 +169,6 @@ def _fail_with_usage(message: str) -> int:
     return _fail(f'{message}\n{USAGE}', code=2)
 
 
-def _describe(error: Exception) -> str:
-    if isinstance(error, MemoryError):
-        return f'not enough memory: {error!r}'
-    return f'stopped by an error\n{traceback.format_exc()}'
-
-
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     _report(f'warning: {message}')
 
@@ -198,35 +178,25 @@ def _unblock_output() -> None:
     Let stdout and stderr drop unread output; a blocked write would stop the control loop.
 
     A separate thread for the output would not help: the logger of rclpy writes while it holds the
-    global interpreter lock.
+    global interpreter lock. A pipe or terminal stays blocking for other processes.
     """
     for number, name in ((1, 'stdout'), (2, 'stderr')):
         try:
-            _unblock(number)
+            mode = os.fstat(number).st_mode
+            if stat.S_ISSOCK(mode):  # a socket cannot be opened again
+                os.set_blocking(number, False)
+            elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
+                with contextlib.suppress(OSError):  # terminal of another user, or without a reader
+                    _open_as(f'/proc/self/fd/{number}', number, os.O_NONBLOCK | os.O_NOCTTY)
         except OSError:
             # The output is closed. Otherwise a new socket would get this number and the log.
-            _open_as(os.devnull, number, os.O_WRONLY)
+            _open_as(os.devnull, number)
         output: Any = _LossyOutput(number, 'w', closefd=False)
         setattr(sys, name, io.TextIOWrapper(output, errors='backslashreplace', write_through=True))
 
 
-def _report(message: str) -> None:
-    sys.stderr.write(f'inverse_dynamics_node: {message}\n')
-
-
-def _unblock(number: int) -> None:
-    """Make an output non-blocking; a pipe or terminal stays blocking for other processes."""
-    mode = os.fstat(number).st_mode
-    if stat.S_ISSOCK(mode):  # a socket cannot be opened again
-        os.set_blocking(number, False)
-    elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
-        flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
-        with contextlib.suppress(OSError):  # terminal of another user, or pipe without a reader
-            _open_as(f'/proc/self/fd/{number}', number, flags)
-
-
-def _open_as(path: str, number: int, flags: int) -> None:
-    new = os.open(path, flags)
+def _open_as(path: str, number: int, flags: int = 0) -> None:
+    new = os.open(path, os.O_WRONLY | flags)
     if new != number:
         os.dup2(new, number)
         os.close(new)
@@ -239,6 +209,10 @@ class _LossyOutput(io.FileIO):
         with contextlib.suppress(OSError):
             super().write(data)
         return len(data)
+
+
+def _report(message: str) -> None:
+    sys.stderr.write(f'inverse_dynamics_node: {message}\n')
 
 
 if __name__ == '__main__':

@@ -178,9 +178,6 @@ class InverseDynamicsNode(LifecycleNode):
         except InverseDynamicsError as error:
             self.get_logger().error(str(error))
             return _FAILURE
-        except MemoryError as error:
-            self.get_logger().error(f'not enough memory: {error!r}')
-            return _FAILURE
         except Exception:  # rclpy would not log the error
             self.get_logger().error(traceback.format_exc())
             return TransitionCallbackReturn.ERROR

@@ -72,8 +72,8 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     Catch errors in the services and subscriptions that rclpy has created.
 
     In rclpy 7.1, a parameter of an unknown type, a negative time on /clock or an impossible
-    lifecycle transition raises an error in the executor. The executor would continue, but the
-    client would wait forever for an answer.
+    lifecycle transition raises an error in the executor. The client of a service would wait
+    forever for an answer.
 
     Call this function before the node creates its own services and subscriptions, because their
     errors must not be hidden. `keep_up` is called after every request, because a request takes as
@@ -91,25 +91,26 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
         callback = setters.get(service.srv_type, service.callback)
         service.callback = _contained(node, service.srv_name, callback, keep_up)
     for subscription in node.subscriptions:
-        subscription.callback = _contained_subscription(
-            node, subscription.topic_name, subscription.callback
-        )
+        name = subscription.topic_name
+        subscription.callback = _contained(node, name, subscription.callback, lambda: None)
 
 
 def _contained(
-    node: LifecycleNode,
-    name: str,
-    callback: Callable[[Any, Any], Any],
-    keep_up: Callable[[], None],
-) -> Callable[[Any, Any], Any]:
-    def contained(request: Any, response: Any) -> Any:
+    node: LifecycleNode, name: str, callback: Callable[..., Any], keep_up: Callable[[], None]
+) -> Callable[..., Any]:
+    reported: set[str] = set()  # /clock may have a thousand messages per second
+
+    def contained(message: Any, *response: Any) -> Any:
         try:
-            response = callback(request, response)
+            return callback(message, *response)
         except Exception as error:
-            node.get_logger().error(f'{name}: request rejected: {_line(error)}')
-            response = type(response)()
-        keep_up()
-        return response
+            text = shortened(str(error).partition('\n')[0] or repr(error), 200)
+            if text not in reported and len(reported) < 10:
+                reported.add(text)
+                node.get_logger().error(f'{name}: message dropped: {text}')
+            return type(response[0])() if response else None
+        finally:
+            keep_up()
 
     return contained
 
@@ -137,24 +138,3 @@ def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
         for problem in unknown_parameters(node, [parameter.name]):
             return problem
     return ''
-
-
-def _contained_subscription(
-    node: LifecycleNode, topic: str, callback: Callable[[Any], None]
-) -> Callable[[Any], None]:
-    reported: set[str] = set()  # /clock may have a thousand messages per second
-
-    def contained(message: Any) -> None:
-        try:
-            callback(message)
-        except Exception as error:
-            text = _line(error)
-            if text not in reported and len(reported) < 10:
-                reported.add(text)
-                node.get_logger().error(f'{topic}: message dropped: {text}')
-
-    return contained
-
-
-def _line(error: Exception) -> str:
-    return shortened(str(error).partition('\n')[0] or repr(error), 200)

@@ -106,36 +106,6 @@ def test_a_node_without_stderr_works(domain_id, robot):
         assert node.wait(PATIENCE) == 0
 
 
-def test_too_little_memory_is_reported(domain_id):
-    node = subprocess.run(
-        ['/bin/sh', '-c', 'ulimit -v 300000; exec "$@"', 'sh', sys.executable, '-m', MAIN],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'OPENBLAS_NUM_THREADS': '1'},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert node.returncode != 0
-    assert 'the address space is limited to 292 MB (ulimit -v)' in node.stderr
-
-
-def test_a_start_with_too_little_memory_can_be_interrupted(domain_id):
-    """Libraries that get no memory may wait forever, and handle no signal meanwhile."""
-    node = subprocess.Popen(
-        ['/bin/sh', '-c', 'ulimit -v 600000; exec "$@"', 'sh', sys.executable, '-m', MAIN],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert 'the address space is limited to 585 MB (ulimit -v)' in node.stderr.readline()
-        node.send_signal(signal.SIGINT)
-        assert node.wait(PATIENCE) == -signal.SIGINT
-    finally:
-        node.kill()
-        node.communicate()
-
-
 def parameter(name, kind):
     return Parameter(name=name, value=ParameterValue(type=kind))
 
