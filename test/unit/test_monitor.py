@@ -1,4 +1,4 @@
-"""Statistics of the monitor, and the levels and texts of its reports."""
+"""Conditions of the node, and the level, the message and the values that the status then has."""
 
 import dataclasses
 import math
@@ -30,147 +30,219 @@ pytest.importorskip('diagnostic_msgs')
 
 from inverse_dynamics_node.ros.diagnostics import write_values
 
+OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 JOINTS = ROBOT.joint_names
+BOTH = ', '.join(JOINTS)
 FINE = GraphInfo(receivers=1, publishers=1, is_active=True, state='active')
+INACTIVE = {'is_active': False, 'state': 'inactive'}
+REST = np.zeros(2)
 NEITHER = np.zeros(2, dtype=bool)
 SECOND = np.array([False, True])
+FAR = 'starts too far away or jumps too far (max_position_jump: 0.2 rad or m)'
+RISING = 'efforts rise again after joint states have arrived for 0.2 s without a gap longer than '
 
 
-def command(is_saturated=NEITHER, is_slowed=NEITHER):
-    return Command(np.zeros(2), is_saturated, is_slowed)
-
-
-def part(status, name):
+def part(which, loop, now=0.05, monitor=None, **around):
     """Return a part of a report with its texts in /diagnostics."""
-    found = status.parts()[name]
+    status = (monitor or Monitor()).report(now, loop, FINE._replace(**around))
+    for each, found in status.parts().items():
+        texts = [each, found.message, *write_values(found), *write_values(found).values()]
+        assert all(isinstance(text, str) for text in texts)
+        assert 'None' not in texts
+        assert isinstance(found.level, Level)
+        assert found.message
+    found = status.parts()[which]
     return SimpleNamespace(level=found.level, message=found.message, values=write_values(found))
+
+
+def receive(loop, now, q=(0.1, 0.2), qd=(0.0, 0.0)):
+    store_state(loop.collector, now, JOINTS, list(q), list(qd))
 
 
 @pytest.fixture
 def loop():
     loop = ControlLoop(ROBOT, period=0.05)
-    store_state(loop.collector, 0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    receive(loop, 0.0)
     loop.step(0.0)
     return loop
 
 
-@pytest.fixture(autouse=True)
-def complete_reports(monkeypatch):
-    """Check that every report of these tests can be sent as a DiagnosticArray."""
-    report = Monitor.report
-
-    def checked(*args):
-        status = report(*args)
-        for name, found in status.parts().items():
-            assert isinstance(found.level, Level)
-            values = write_values(found)
-            texts = [name, found.message, *values, *values.values()]
-            assert all(isinstance(text, str) for text in texts)
-            assert name
-            assert found.message
-            assert 'None' not in texts
-        return status
-
-    monkeypatch.setattr(Monitor, 'report', checked)
+def step_until(loop, start, end):
+    for now in np.arange(start, end, 0.05):
+        loop.step(float(now))
 
 
-def test_measures_rate_and_periods(loop):
-    monitor = Monitor(0.01)
-    monitor.report(0.0, loop, FINE)
-    for k in range(100):
-        late = 0.008 if k == 50 else 0.0
-        monitor.step(0.01 * k + late, 1e-4 * (1.0 + k), command(), JOINTS)
-    values = part(monitor.report(1.0, loop, FINE), 'loop').values
-    assert values['rate [Hz]'] == '100.0'
-    assert values['requested rate [Hz]'] == '100'
-    assert values['period worst [ms]'] == '18.000'
-    assert 10.0 < float(values['period p99 [ms]']) < 18.0
-    assert float(values['compute time p99 [ms]']) == pytest.approx(9.9, abs=0.05)
-    assert values['overruns'] == '1'
-    assert part(monitor.report(1.5, loop, FINE), 'loop').values['rate [Hz]'] == '0.0'
-
-
-def test_warns_if_the_requested_rate_is_not_reached(loop):
-    monitor = Monitor(0.01)
-    monitor.report(0.0, loop, FINE)
-    for k in range(90):
-        monitor.step(0.011 * k, 1e-4, command(), JOINTS)
-    status = part(monitor.report(1.0, loop, FINE), 'loop')
-    assert status.level is Level.WARN
-    assert status.message == 'only 90.9 commands/s'
-    monitor = Monitor(1.0)
-    for now in (0.0, 2.0):
-        monitor.step(now, 1e-4, command(), JOINTS)
-    assert part(monitor.report(2.0, loop, FINE), 'loop').message == 'only 0.5 commands/s'
-
-
-def test_a_pause_and_a_clock_that_is_set_back_are_not_overruns(loop):
-    monitor = Monitor(0.01)
-    monitor.step(5.0, 1e-4, command(), JOINTS)
-    monitor.pause()
-    monitor.step(9.0, 1e-4, command(), JOINTS)
-    monitor.step(1.0, 1e-4, command(), JOINTS)
-    assert monitor.overruns == 0
+# Times of commands since the last report; None is a pause of the loop.
+@pytest.mark.parametrize(
+    ('period', 'times', 'level', 'words', 'values'),
+    [
+        (
+            0.01,
+            [0.01 * k + 0.008 * (k == 50) for k in range(100)],
+            OK,
+            'floating',
+            {
+                'rate [Hz]': '100.0',
+                'requested rate [Hz]': '100',
+                'period p99 [ms]': '10.160',
+                'period worst [ms]': '18.000',
+                'compute time p99 [ms]': '0.100',
+                'overruns': '1',
+            },
+        ),
+        (0.01, [0.011 * k for k in range(90)], WARN, 'only 90.9 commands/s', {}),
+        (1.0, [0.0, 2.0], WARN, 'only 0.5 commands/s', {'overruns': '1'}),
+        # A loop that has started within the second is not slow.
+        (0.01, [None, *(0.6 + 0.01 * k for k in range(40))], OK, '', {'rate [Hz]': '100.0'}),
+        (0.01, [], OK, 'floating', {'rate [Hz]': '0.0'}),
+        (2.0, [0.0, 3.0, 6.5], WARN, 'only 0.3 commands/s', {'overruns': '1'}),
+        (0.01, [5.0, None, 9.0, 1.0], OK, '', {'overruns': '0'}),
+        (
+            0.0,
+            [0.0, 0.0, 1.0],
+            OK,
+            'floating',
+            {
+                'overruns': '0',
+                'rate [Hz]': '2.0',
+                'requested rate [Hz]': 'that of the joint states',
+            },
+        ),
+    ],
+)
+def test_rates_and_late_commands(loop, period, times, level, words, values):
+    monitor = Monitor(period)
+    part('loop', loop, 0.0, monitor)
+    for time in times:
+        if time is None:
+            monitor.pause()
+        else:
+            monitor.step(time, 1e-4, Command(REST, NEITHER, NEITHER), JOINTS)
+    found = part('loop', loop, 1.0, monitor)
+    assert (found.level, words in found.message) == (level, True), found
+    assert values.items() <= found.values.items()
+    assert part('loop', loop, 1.5, monitor).values['rate [Hz]'] == '0.0'
 
 
 def test_counts_clamped_commands_and_warns_of_those_since_the_last_report(loop):
     monitor = Monitor()
-    for _ in range(3):
-        monitor.step(0.0, 1e-4, command(SECOND, SECOND), JOINTS)
-    status = part(monitor.report(1.0, loop, FINE), 'efforts')
-    assert status.level is Level.WARN
-    assert status.message == f'effort cut to its limit: {JOINTS[1]}'
-    assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
-    assert status.values[f'{JOINTS[1]} slowed'] == '3'
-    assert status.values['cut to limit since the last report'] == JOINTS[1]
-    status = part(monitor.report(2.0, loop, FINE), 'efforts')
-    assert status.level is Level.OK
-    assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
-    assert status.values['cut to limit since the last report'] == 'none'
+    for is_clamped in (SECOND, SECOND, SECOND, ~SECOND):
+        monitor.step(0.0, 1e-4, Command(REST, is_clamped, SECOND), JOINTS)
+    found = part('efforts', loop, 1.0, monitor)
+    assert found.level is WARN
+    assert found.message == f'effort cut to its limit: {JOINTS[1]}, {JOINTS[0]}'
+    assert found.values[f'{JOINTS[1]} cut to limit'] == '3'
+    assert found.values[f'{JOINTS[1]} slowed'] == '4'
+    assert found.values['cut to limit since the last report'] == f'{JOINTS[1]}, {JOINTS[0]}'
+    found = part('efforts', loop, 2.0, monitor)
+    assert found.level is OK
+    assert found.values[f'{JOINTS[1]} cut to limit'] == '3'
+    assert found.values['cut to limit since the last report'] == 'none'
 
 
 def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):
     monitor = Monitor()
     monitor.reject('imu', 'broken')
     monitor.reject('imu', 'broken')
+    found = part('messages', loop, 0.0, monitor)
+    assert (found.level, found.values) == (WARN, {'imu: broken': '2'})
     for k in range(1000):
         monitor.reject('imu', f'is {k}')
-    assert monitor.rejected['imu: broken'] == 2
     assert len(monitor.rejected) <= 21
     assert sum(monitor.rejected.values()) == 1002
-    status = part(monitor.report(1.0, loop, FINE), 'messages')
-    assert (status.level, status.message) == (
-        Level.WARN,
-        'messages rejected since the last report: 1002',
-    )
-    status = part(monitor.report(2.0, loop, FINE), 'messages')
-    assert (status.level, status.message) == (Level.OK, 'messages rejected in total: 1002')
+    found = part('messages', loop, 1.0, monitor)
+    assert (found.level, found.message) == (WARN, 'messages rejected since the last report: 1000')
+    found = part('messages', loop, 2.0, monitor)
+    assert (found.level, found.message) == (OK, 'messages rejected in total: 1002')
+
+
+def others_of(subscribers=(), rivals=(), namesakes=0):
+    names = NodeNames.of(subscribers), NodeNames.of(rivals)
+    return OtherNodesStatus(OK, '', '/commands', *names, namesakes)
+
+
+RIVALS = others_of(rivals=('/a', '/b'))
+NAMESAKES = others_of(namesakes=1)
+BRIDGE = others_of(subscribers=('/bridge',))
 
 
 @pytest.mark.parametrize(
-    ('now', 'around', 'name', 'level', 'words'),
+    ('around', 'name', 'level', 'words'),
     [
-        (0.05, FINE, 'joint states', Level.OK, 'fresh'),
-        (5.0, FINE, 'joint states', Level.ERROR, 'lost: '),
-        (5.0, FINE._replace(is_active=False), 'joint states', Level.WARN, 'lost: '),
-        (0.05, FINE, 'efforts', Level.OK, 'floating: no reference'),
+        ({}, 'loop', OK, 'floating: no reference'),
+        (INACTIVE, 'loop', OK, 'inactive'),
+        ({}, 'joint states', OK, 'fresh'),
+        ({}, 'reference', OK, 'no reference is used'),
+        ({}, 'efforts', OK, 'floating: no reference'),
+        ({'receivers': 0}, 'efforts', WARN, 'the commands have no subscribers'),
         (
-            0.05,
-            FINE._replace(receivers=0),
+            {'receivers': 0, 'others': BRIDGE},
             'efforts',
-            Level.WARN,
-            'the commands have no subscribers',
+            WARN,
+            'another type or quality of service is used by /bridge',
         ),
-        (0.05, FINE, 'reference', Level.OK, 'no reference is used'),
-        (0.05, FINE, 'loop', Level.OK, 'floating: no reference'),
-        (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
+        ({'others': others_of()}, 'other nodes', OK, 'no other node publishes the commands'),
+        ({'others': RIVALS}, 'other nodes', ERROR, '/commands is also published by /a, /b'),
+        (
+            {'others': RIVALS, **INACTIVE},
+            'other nodes',
+            WARN,
+            '/commands is also published by /a, /b',
+        ),
+        ({'others': NAMESAKES}, 'other nodes', ERROR, 'another node has the name /arm'),
+        ({'others': NAMESAKES, **INACTIVE}, 'other nodes', ERROR, 'another node has the name'),
+        (
+            {'others': others_of(namesakes=2)},
+            'other nodes',
+            ERROR,
+            '2 other nodes have the name /arm',
+        ),
+        (
+            {'others': others_of(rivals=tuple(f'/n{k}' for k in range(100)))},
+            'other nodes',
+            ERROR,
+            '/n0, /n1, /n2, /n3, /n4 and 95 more',
+        ),
+        (
+            {'others': others_of(rivals=tuple(f'/n{k}' for k in range(5)))},
+            'other nodes',
+            ERROR,
+            '/n3, /n4 (',
+        ),
     ],
 )
-def test_levels_depend_on_whether_the_user_must_act(loop, now, around, name, level, words):
-    status = part(Monitor().report(now, loop, around), name)
-    assert status.level is level
-    assert words in status.message
+def test_other_nodes_and_the_state_of_this_one(loop, around, name, level, words):
+    found = part(name, loop, name='/arm', **around)
+    assert (found.level, words in found.message) == (level, True), found
+
+
+@pytest.mark.parametrize(
+    ('clock', 'level', 'words'),
+    [
+        ((0.0, 0.5, 0), OK, 'no message on /clock yet'),
+        ((0.0, 2.0, 0), WARN, 'nothing publishes /clock'),
+        ((0.0, 6.0, 0), ERROR, 'nothing publishes /clock'),
+        ((0.0, 6.0, 1), WARN, 'is the simulation paused?'),
+        ((9.0, 0.2, 1), OK, 'simulated time advances'),
+        ((9.0, 6.0, 1), WARN, 'has not advanced for more than 5 s'),
+        ((9.0, 6.0, 0), ERROR, 'more than 5 s: nothing publishes /clock any more'),
+    ],
+)
+def test_simulated_time_that_stands_still_is_reported(clock, level, words):
+    found, message = judge_clock(*clock)
+    assert found is level
+    assert words in message
+
+
+def test_without_a_robot_there_are_three_statuses():
+    around = FINE._replace(is_active=False, state='unconfigured')
+    parts = Monitor().report(0.0, None, around).parts()
+    assert [(name, found.level) for name, found in parts.items()] == [
+        ('loop', OK),
+        ('messages', OK),
+        ('other nodes', OK),
+    ]
 
 
 def test_a_report_describes_the_loop_the_topics_and_the_limits():
@@ -183,251 +255,223 @@ def test_a_report_describes_the_loop_the_topics_and_the_limits():
     )
     loop = ControlLoop(ROBOT, JOINTS[::-1], settings, period=0.05)
     for now in (0.0, 0.05):
-        store_state(loop.collector, now, JOINTS, [0.1, 0.2], [0.0, 0.0])
+        receive(loop, now)
         loop.step(now)
-    topics = Topics('/states', '/commands_with_names', '/external')
-    around = FINE._replace(topics=topics, state_rate=123.4)
-    report = Monitor(0.05).report(0.05, loop, around)
-    names = ('loop', 'joint states', 'efforts', 'model')
-    loop_is, states_are, efforts_are, model_is = (part(report, name).values for name in names)
-    assert loop_is['state'] == 'active'
-    assert loop_is['mode'] == 'computed_torque'
-    assert loop_is['phase'] == 'floating: no reference'
-    assert loop_is['gain'] == '0.250'
-    assert states_are['topic'] == '/states'
-    assert states_are['rate [Hz]'] == '123.4'
-    assert states_are['timeout [s]'] == '0.25'
-    assert efforts_are['topic with names'] == '/commands_with_names'
-    assert efforts_are['topic of the external efforts'] == '/external'
-    assert efforts_are['scale'] == '2, -0.5'
-    assert efforts_are['limits [N m, N]'] == '3, 4'
-    assert model_is['joints'] == ', '.join(JOINTS[::-1])
-    assert float(model_is['mass [kg]']) == pytest.approx(ROBOT.mass.sum(), rel=1e-3)
+    around = {
+        'topics': Topics('/states', '/commands_with_names', '/external'),
+        'state_rate': 123.4,
+        'receivers': 2,
+        'publishers': 3,
+        'clock': ClockStatus(OK, 'simulated time advances', 12.5, 0.25, 4),
+        'others': others_of(('/bridge',), ('/rival',), 3),
+    }
+    for name, expected in {
+        'loop': {
+            'state': 'active',
+            'mode': 'computed_torque',
+            'phase': 'floating: no reference',
+            'dry run': 'no',
+            'gain': '0.250',
+        },
+        'joint states': {
+            'topic': '/states',
+            'rate [Hz]': '123.4',
+            'age [s]': '0.200',
+            'timeout [s]': '0.25',
+            'publishers': '3',
+        },
+        'reference': {'age [s]': 'never', 'timeout [s]': '0.5', 'mode': 'computed_torque'},
+        'efforts': {
+            'receivers': '2',
+            'topic with names': '/commands_with_names',
+            'topic of the external efforts': '/external',
+            'scale': '2, -0.5',
+            'limits [N m, N]': '3, 4',
+            'measured efforts contain gravity': 'yes',
+            'scale of the measured efforts': '1, 1',
+        },
+        'model': {
+            'joints': ', '.join(JOINTS[::-1]),
+            'robot': ROBOT.name,
+            'mass [kg]': f'{ROBOT.mass.sum():.4g}',
+            'payload': 'none',
+            'gravity [m/s^2]': '0.000, 0.000, -9.807',
+        },
+        'clock': {'time [s]': '12.500', 'unchanged for [s]': '0.2', 'publishers': '4'},
+        'other nodes': {
+            'commands': '/commands',
+            'subscribers of the commands': '/bridge',
+            'other publishers of the commands': '/rival',
+            'other nodes with this name': '3',
+        },
+    }.items():
+        values = part(name, loop, 0.25, **around).values
+        assert expected == {key: values.get(key) for key in expected}
 
 
 def test_a_node_that_is_not_active_has_a_state_but_no_phase(loop):
-    around = FINE._replace(is_active=False, state='inactive')
-    values = part(Monitor().report(0.0, loop, around), 'loop').values
+    values = part('loop', loop, **INACTIVE).values
     assert values['state'] == 'inactive'
     assert not {'mode', 'phase', 'dry run', 'gain'} & set(values)
-
-
-def test_without_a_robot_there_are_three_statuses():
-    around = FINE._replace(is_active=False, state='unconfigured')
-    parts = Monitor().report(0.0, None, around).parts()
-    assert [(name, found.level) for name, found in parts.items()] == [
-        ('loop', Level.OK),
-        ('messages', Level.OK),
-        ('other nodes', Level.OK),
-    ]
-
-
-def test_a_loop_that_started_within_the_second_is_not_slow(loop):
-    monitor = Monitor(0.01)
-    monitor.report(0.0, loop, FINE)
-    monitor.pause()
-    for k in range(40):
-        monitor.step(0.6 + 0.01 * k, 1e-4, command(), JOINTS)
-    status = part(monitor.report(1.0, loop, FINE), 'loop')
-    assert status.level is Level.OK
-    assert status.values['rate [Hz]'] == '100.0'
 
 
 @pytest.mark.parametrize('mode', [Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE])
 def test_warns_of_a_loop_without_damping(mode):
     loop = ControlLoop(ROBOT, settings=Settings(mode=mode))
-    store_state(loop.collector, 0.0, JOINTS, [0.1, 0.2], [])
-    status = part(Monitor().report(0.0, loop, FINE), 'joint states')
-    assert status.level is Level.WARN
-    assert status.message == f'joints reported without velocity have no damping in {mode.value}'
-    assert status.values['without velocity'] == ', '.join(JOINTS)
-    store_state(loop.collector, 0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    assert part(Monitor().report(0.0, loop, FINE), 'joint states').level is Level.OK
+    receive(loop, 0.0, qd=())
+    found = part('joint states', loop, 0.0)
+    assert found.level is WARN
+    assert found.message == f'joints reported without velocity have no damping in {mode.value}'
+    assert found.values['without velocity'] == BOTH
+    receive(loop, 0.0)
+    assert part('joint states', loop, 0.0).level is OK
 
 
 def test_activity_names_the_reason_to_float(loop):
     assert activity(0.0, loop) == 'floating: no reference'
-    rest = np.zeros(2)
-    loop.reference = Reference(rest, rest, 0.0)
+    loop.reference = Reference(REST, REST, 0.0)
     loop.step(0.05)
     assert activity(0.05, loop) == 'following the reference'
-    store_state(loop.collector, 1.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    receive(loop, 1.0)
     loop.step(1.0)
     assert activity(1.0, loop) == 'floating: no reference for more than 0.5 s'
     loop.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
     assert 'not used in mode gravity_compensation' in activity(1.0, loop)
-    loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.2))
-    loop.reference = Reference(rest, rest, 1.0, positions=rest + 1.0)
-    loop.step(1.0)
-    distance = 'starts too far away or jumps too far (max_position_jump: 0.2 rad or m)'
-    assert activity(1.0, loop) == f'floating: the reference {distance}'
 
 
-def test_activity_distinguishes_an_arm_that_is_held(loop):
-    loop.controller.apply(Settings(mode=Mode.JOINT_IMPEDANCE, max_position_jump=0.2))
+@pytest.mark.parametrize(
+    ('mode', 'doing'),
+    [(Mode.COMPUTED_TORQUE, 'floating'), (Mode.JOINT_IMPEDANCE, 'holding position')],
+)
+def test_the_reference_is_judged_by_its_use(loop, mode, doing):
+    loop.controller.apply(Settings(mode=mode, max_position_jump=0.2))
     loop.step(0.0)
-    assert activity(0.0, loop) == 'holding position: no reference'
-    loop.reference = Reference(np.zeros(2), np.zeros(2), 0.05, positions=np.ones(2))
+    assert activity(0.0, loop) == f'{doing}: no reference'
+    loop.reference = Reference(REST, REST, 0.02, positions=np.array([0.1, 0.2]))
     loop.step(0.05)
-    distance = 'starts too far away or jumps too far (max_position_jump: 0.2 rad or m)'
-    assert activity(0.05, loop) == f'holding position: the reference {distance}'
-    status = part(Monitor().report(0.05, loop, FINE), 'reference')
-    assert status.level is Level.WARN
-    assert status.message == 'holding position: the reference is too far away'
+    found = part('reference', loop)
+    assert (found.level, found.message, found.values['age [s]']) == (OK, 'followed', '0.030')
+    loop.reference = Reference(REST, REST, 0.05, positions=REST + 3.0)
+    loop.step(0.06)
+    assert activity(0.06, loop) == f'{doing}: the reference {FAR}'
+    found = part('reference', loop, 0.06)
+    assert (found.level, found.message) == (WARN, f'{doing}: the reference is too far away')
+    loop.controller.stop()
+    loop.step(0.07)
+    found = part('reference', loop, 0.07)
+    assert (found.level, found.message) == (OK, 'disabled')
 
 
-def step_until(loop, start, end):
-    for now in np.arange(start, end, 0.05):
-        loop.step(float(now))
-
-
-def test_activity_names_the_joints_that_stop_the_arm(loop):
+def test_activity_names_the_reason_to_stop(loop):
     step_until(loop, 0.0, 0.2)
-    reason = f'no joint state of {JOINTS[0]}, {JOINTS[1]} for more than 0.1 s'
+    reason = f'no joint state of {BOTH} for more than 0.1 s'
     assert activity(0.2, loop) == f'ramping efforts down: {reason}'
+    loop.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
+    assert activity(0.2, loop) == f'keeping the last efforts: {reason}'
+    loop.controller.apply(Settings())
     step_until(loop, 0.2, 2.0)
     assert activity(2.0, loop) == f'stopped, zeros sent: {reason}'
-    report = Monitor().report(2.0, loop, FINE)
-    assert report.loop.message == report.efforts.message == activity(2.0, loop)
+    found = part('loop', loop, 2.0)
+    assert found.message == part('efforts', loop, 2.0).message == activity(2.0, loop)
+    receive(loop, 2.0)
+    loop.step(2.0)
+    assert RISING in activity(2.0, loop)
 
 
-def test_activity_distinguishes_the_policy_for_lost_states(loop):
-    step_until(loop, 0.0, 0.1)
-    loop.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
-    step_until(loop, 0.1, 2.0)
-    assert activity(2.0, loop).startswith('keeping the last efforts: no joint state of ')
-    loop.controller.stop()
-    step_until(loop, 2.0, 2.1)
-    assert activity(2.1, loop) == 'ramping efforts down: disabled by ~/enable'
-
-
-def test_activity_while_disabled(loop):
+@pytest.mark.parametrize('policy', StalePolicy)
+def test_activity_while_disabled(loop, policy):
+    loop.controller.apply(Settings(on_stale_state=policy))
     step_until(loop, 0.0, 0.1)
     loop.controller.stop()
-    loop.step(0.1)
-    loop.step(0.15)
+    step_until(loop, 0.1, 0.2)
     assert activity(0.15, loop) == 'ramping efforts down: disabled by ~/enable'
     step_until(loop, 0.2, 2.0)
     assert activity(2.0, loop) == 'stopped, zeros sent: disabled by ~/enable'
-
-
-def test_a_dry_run_is_named_in_the_activity_and_in_the_report(loop):
-    loop.dry_run = DryRun(is_active=True)
-    assert activity(0.0, loop) == 'dry run: floating: no reference'
-    for is_dry_run, word in ((True, 'yes'), (False, 'no')):
-        loop.dry_run = DryRun(is_active=is_dry_run)
-        report = Monitor().report(0.0, loop, FINE)
-        assert part(report, 'loop').values['dry run'] == word
-        for name in ('loop', 'efforts'):
-            assert ('dry run: floating' in part(report, name).message) is is_dry_run
-    loop.controller.stop()
-    step_until(loop, 0.05, 2.0)
     loop.dry_run = DryRun(is_active=True)
     assert activity(2.0, loop) == 'dry run: stopped: disabled by ~/enable'
 
 
-def test_a_missing_imu_is_not_an_error_of_the_joint_states():
+def test_activity_without_usable_efforts(loop):
+    loop.reference = Reference(np.full(2, 1.7e308), REST, 0.0)
+    loop.step(0.01)
+    assert activity(0.01, loop).endswith(
+        'no finite efforts for this joint state and reference: '
+        "the acceleration of joint 'shoulder' is 1.7e+308"
+    )
+
+
+def test_a_dry_run_is_named_in_the_activity_and_in_the_report(loop):
+    for is_dry_run, word in ((True, 'yes'), (False, 'no')):
+        loop.dry_run = DryRun(is_active=is_dry_run)
+        assert part('loop', loop).values['dry run'] == word
+        for name in ('loop', 'efforts'):
+            assert ('dry run: floating' in part(name, loop).message) is is_dry_run
+
+
+def test_an_unknown_motion_of_the_base_is_an_error_of_the_model():
     loop = ControlLoop(ROBOT, has_imu=True)
-    store_state(loop.collector, 0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    receive(loop, 0.0)
     assert loop.missing('/joint_states', '/base/imu') == ['the motion of the base on /base/imu']
-    statuses = Monitor().report(0.0, loop, FINE)
-    assert part(statuses, 'joint states').level is Level.OK
-    assert part(statuses, 'model').level is Level.ERROR
-    assert part(statuses, 'model').message.endswith('no message on imu yet')
-
-
-def others_of(subscribers=(), rivals=(), namesakes=0):
-    names = NodeNames.of(subscribers), NodeNames.of(rivals)
-    return OtherNodesStatus(Level.OK, '', '/commands', *names, namesakes)
-
-
-RIVALS = others_of(rivals=('/a', '/b'))
-NAMESAKES = others_of(namesakes=1)
-
-
-@pytest.mark.parametrize(
-    ('others', 'is_active', 'level', 'words'),
-    [
-        (others_of(), True, Level.OK, 'no other node publishes the commands'),
-        (RIVALS, True, Level.ERROR, '/commands is also published by /a, /b'),
-        (RIVALS, False, Level.WARN, '/commands is also published by /a, /b'),
-        (NAMESAKES, True, Level.ERROR, 'another node has the name /arm'),
-        (NAMESAKES, False, Level.ERROR, 'another node has the name /arm'),
-        (others_of(namesakes=2), True, Level.ERROR, '2 other nodes have the name /arm'),
-    ],
-)
-def test_nodes_that_interfere_are_named(loop, others, is_active, level, words):
-    around = FINE._replace(name='/arm', others=others, is_active=is_active)
-    status = part(Monitor().report(0.05, loop, around), 'other nodes')
-    assert status.level is level
-    assert words in status.message
-
-
-def test_subscribers_that_do_not_match_are_named(loop):
-    others = others_of(subscribers=('/bridge',))
-    around = FINE._replace(receivers=0, others=others)
-    status = part(Monitor().report(0.05, loop, around), 'efforts')
-    assert status.level is Level.WARN
-    assert status.message.startswith('the commands have no subscribers')
-    assert 'another type or quality of service is used by /bridge' in status.message
-
-
-def test_only_the_first_of_many_nodes_are_named(loop):
-    others = others_of(rivals=tuple(f'/n{k}' for k in range(100)))
-    status = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes')
-    assert '/n0, /n1, /n2, /n3, /n4 and 95 more' in status.message
-
-
-@pytest.mark.parametrize(
-    ('clock', 'level', 'words'),
-    [
-        ((0.0, 0.5, 0), Level.OK, 'no message on /clock yet'),
-        ((0.0, 2.0, 0), Level.WARN, 'nothing publishes /clock'),
-        ((0.0, 6.0, 0), Level.ERROR, 'nothing publishes /clock'),
-        ((0.0, 6.0, 1), Level.WARN, 'is the simulation paused?'),
-        ((9.0, 0.2, 1), Level.OK, 'simulated time advances'),
-        ((9.0, 6.0, 1), Level.WARN, 'has not advanced for more than 5 s'),
-        ((9.0, 6.0, 0), Level.ERROR, 'nothing publishes /clock any more'),
-        ((9.0, 6.0, 0), Level.ERROR, 'has not advanced for more than 5 s'),
-    ],
-)
-def test_simulated_time_that_stands_still_is_reported(clock, level, words):
-    found, message = judge_clock(*clock)
-    assert found is level
-    assert words in message
-
-
-def test_there_is_no_clock_status_without_simulated_time(loop):
-    assert Monitor().report(0.05, loop, FINE).clock is None
+    assert part('joint states', loop, 0.0).level is OK
+    for now, level, words in (
+        (0.0, ERROR, 'no message on imu yet'),
+        (0.1, OK, ROBOT.name),
+        (0.5, ERROR, 'no message on imu for more than 0.2 s'),
+    ):
+        found = part('model', loop, now)
+        assert (found.level, words in found.message) == (level, True)
+        loop.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
 
 
 def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(loop):
-    def status_at(now, arrival):
-        store_state(loop.collector, arrival, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    def found_at(now, arrival, **around):
+        receive(loop, arrival)
         loop.step(now)
-        return part(Monitor().report(now, loop, FINE), 'joint states')
+        return part('joint states', loop, now, **around)
 
     for k in range(10):
-        assert status_at(0.1 * k, 0.1 * k).level is Level.OK
+        assert found_at(0.1 * k, 0.1 * k).level is OK
     for now, arrival, words in (
-        (1.1, 0.9, f'lost: {", ".join(JOINTS)}'),
+        (1.1, 0.9, f'lost: {BOTH}'),
         (1.2, 0.9, 'lost: '),
-        (1.3, 1.3, 'for 0.2 s without a gap longer than state_timeout (0.1 s)'),
-        (1.4, 1.4, 'efforts rise again after joint states have arrived for 0.2 s'),
+        (1.3, 1.3, RISING),
+        (1.4, 1.4, RISING),
     ):
-        status = status_at(now, arrival)
-        assert status.level is Level.ERROR
-        assert words in status.message
-    assert status_at(1.55, 1.55).level is Level.OK
+        found = found_at(now, arrival)
+        assert (found.level, words in found.message) == (ERROR, True)
+        assert part('joint states', loop, now, **INACTIVE).level is WARN
+    assert found_at(1.55, 1.55).level is OK
+
+
+@pytest.mark.parametrize(
+    ('publishers', 'silence', 'words'),
+    [
+        (0, 9.0, ''),
+        (2, 4.0, ''),
+        (2, 9.0, '2 publishers are connected'),
+        (1, 9.0, '1 publisher is connected'),
+    ],
+)
+@pytest.mark.parametrize(('is_active', 'level'), [(True, ERROR), (False, WARN)])
+def test_missing_joint_states_are_reported(publishers, silence, words, is_active, level):
+    loop = ControlLoop(ROBOT, period=0.05)
+    loop.step(0.0)
+    around = {'publishers': publishers, 'silence': silence, 'is_active': is_active}
+    found = part('joint states', loop, 9.0, **around)
+    assert found.level is level
+    assert f'waiting for the positions of {BOTH}' in found.message
+    assert words in found.message
+    assert ('connected' in found.message) is bool(words)
+    assert found.values['age [s]'] == 'never'
 
 
 def test_warns_of_joints_far_outside_their_limits():
     robot = load_urdf(STANFORD)
     loop = ControlLoop(robot)
     store_state(loop.collector, 0.0, robot.joint_names, [0.0, 57.3, 0.5, 0.0, 4.0, 0.0], [0.0] * 6)
-    status = part(Monitor().report(0.0, loop, FINE), 'joint states')
-    assert status.level is Level.WARN
-    assert status.message == (
+    found = part('joint states', loop, 0.0)
+    assert found.level is WARN
+    assert found.message == (
         'joint_2 is at 57.3 rad, outside its limits -1.745 to 1.745 (in degrees?); '
         'joint_5 is at 4 rad, outside its limits -1.92 to 1.92'
     )
@@ -438,175 +482,12 @@ def test_contradictory_positions_are_an_error_with_the_publishers(loop):
         store_state(loop.collector, 0.001 * k, JOINTS, [0.1, 1.5 * (k % 2)], [0.0, 0.0])
         loop.step(0.001 * k)
     words = f'positions of {JOINTS[1]} alternate between 0 and 1.5 faster than the joint can move'
-    around = FINE._replace(state_publishers=('/robot', '/joint_state_publisher'))
-    status = part(Monitor().report(0.1, loop, around), 'joint states')
-    assert status.level is Level.ERROR
-    assert status.message == f'{words} (published by /robot, /joint_state_publisher)'
+    publishers = ('/robot', '/joint_state_publisher')
+    found = part('joint states', loop, 0.1, state_publishers=publishers)
+    assert found.level is ERROR
+    assert found.message == f'{words} (published by /robot, /joint_state_publisher)'
     question = 'does more than one node publish the state of this joint?'
     assert f'{words} ({question})' in activity(0.1, loop)
-
-
-def test_no_command_is_late_without_a_period(loop):
-    monitor = Monitor()
-    for now in (0.0, 0.0, 1.0):
-        monitor.step(now, 1e-4, command(), JOINTS)
-    values = part(monitor.report(1.0, loop, FINE), 'loop').values
-    assert values['overruns'] == '0'
-    assert values['rate [Hz]'] == '2.0'
-    assert values['requested rate [Hz]'] == 'that of the joint states'
-
-
-def test_a_command_that_is_late_by_half_a_period_is_not_an_overrun():
-    monitor = Monitor(2.0)
-    for now in (0.0, 3.0, 6.5):
-        monitor.step(now, 1e-4, command(), JOINTS)
-    assert monitor.overruns == 1
-
-
-def test_a_loop_without_commands_yet_is_not_slow(loop):
-    assert part(Monitor(0.01).report(0.0, loop, FINE), 'loop').level is Level.OK
-
-
-def test_rejected_messages_are_listed_with_their_numbers(loop):
-    monitor = Monitor()
-    for _ in range(3):
-        monitor.reject('imu', 'broken')
-    assert part(monitor.report(0.0, loop, FINE), 'messages').values == {'imu: broken': '3'}
-
-
-def test_other_nodes_are_listed(loop):
-    others = others_of()
-    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
-    assert list(values.values()) == ['/commands', 'none', 'none', '0']
-    others = others_of(('/bridge',), ('/rival',), 3)
-    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
-    assert list(values.values()) == ['/commands', '/bridge', '/rival', '3']
-
-
-def test_the_clock_and_the_numbers_of_nodes_are_reported(loop):
-    clock = ClockStatus(Level.OK, 'simulated time advances', 12.5, 0.25, 4)
-    around = FINE._replace(receivers=2, publishers=3, clock=clock)
-    statuses = Monitor().report(0.0, loop, around)
-    assert list(part(statuses, 'clock').values.values()) == ['12.500', '0.2', '4']
-    assert part(statuses, 'efforts').values['receivers'] == '2'
-    assert part(statuses, 'joint states').values['publishers'] == '3'
-
-
-@pytest.mark.parametrize(('count', 'end'), [(5, '/n4'), (6, '/n4 and 1 more')])
-def test_a_few_nodes_are_all_named(loop, count, end):
-    others = others_of(tuple(f'/n{k}' for k in range(count)))
-    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
-    assert any(value.endswith(end) for value in values.values())
-
-
-@pytest.mark.parametrize(('is_active', 'level'), [(True, Level.ERROR), (False, Level.WARN)])
-def test_joints_that_were_never_reported_are_named(is_active, level):
-    loop = ControlLoop(ROBOT, period=0.05)
-    loop.step(0.0)
-    around = FINE._replace(is_active=is_active)
-    status = part(Monitor().report(0.0, loop, around), 'joint states')
-    assert status.level is level
-    assert ', '.join(JOINTS) in status.message
-    assert status.values['age [s]'] == 'never'
-
-
-def test_lost_states_are_not_an_error_while_inactive(loop):
-    step_until(loop, 0.0, 0.5)
-    store_state(loop.collector, 0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    loop.step(0.5)
-    for is_active, level in ((True, Level.ERROR), (False, Level.WARN)):
-        around = FINE._replace(is_active=is_active)
-        assert part(Monitor().report(0.5, loop, around), 'joint states').level is level
-
-
-def test_locked_and_late_joints_are_named():
-    robot = load_urdf(STANFORD)
-    names = robot.joint_names
-    loop = ControlLoop(robot, names[:4], locked={names[4]: 0.0})
-    q = [0.0, 0.0, 0.5, 0.0, 0.0]
-    store_state(loop.collector, 0.0, [*names[:4], names[5]], q, [0.0] * 5)
-    loop.step(0.0)
-    status = part(Monitor().report(0.05, loop, FINE), 'joint states')
-    assert status.level is Level.WARN
-    assert 'locked' in status.message
-    assert status.values['age [s]'] == '0.050'
-    assert status.values['locked, never reported'] == names[4]
-    assert status.values['late, not commanded'] == 'none'
-    assert status.values['without velocity'] == 'none'
-    store_state(loop.collector, 9.0, names[:4], q[:4], [0.0] * 4)
-    loop.step(9.0)
-    status = part(Monitor().report(9.0, loop, FINE), 'joint states')
-    assert status.level is Level.WARN
-    assert status.values['late, not commanded'] == names[5]
-
-
-def test_the_reference_is_judged_by_its_use(loop):
-    rest = np.zeros(2)
-    assert part(Monitor().report(0.05, loop, FINE), 'reference').values['age [s]'] == 'never'
-    loop.reference = Reference(rest, rest, 0.02)
-    loop.step(0.05)
-    status = part(Monitor().report(0.05, loop, FINE), 'reference')
-    assert (status.level, status.message) == (Level.OK, 'followed')
-    assert status.values == {'age [s]': '0.030', 'timeout [s]': '0.5', 'mode': 'inverse_dynamics'}
-    loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE))
-    loop.reference = Reference(rest, rest, 0.05, positions=rest + 3.0)
-    loop.step(0.06)
-    status = part(Monitor().report(0.06, loop, FINE), 'reference')
-    assert status.level is Level.WARN
-    assert 'too far away' in status.message
-    loop.controller.stop()
-    loop.step(0.07)
-    status = part(Monitor().report(0.07, loop, FINE), 'reference')
-    assert (status.level, status.message) == (Level.OK, 'disabled')
-
-
-def test_the_model_is_described(loop):
-    status = part(Monitor().report(0.05, loop, FINE), 'model')
-    assert status.level is Level.OK
-    assert ROBOT.name in status.message
-    assert status.values['payload'] == 'none'
-    assert status.values['gravity [m/s^2]'].endswith('-9.807')
-    loop.loads.set_payload(ROBOT.link_names[-1], 2.5, [0.1, 0.0, 0.0], np.zeros((3, 3)))
-    loop.loads.apply(loop.loads.settings, include_gravity=False)
-    values = part(Monitor().report(0.05, loop, FINE), 'model').values
-    assert values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
-    assert values['payload com [m]'] == '0.1, 0, 0'
-    assert values['gravity [m/s^2]'] == 'not included'
-    assert values['gravity in the root link [m/s^2]'].endswith('-9.807')
-
-
-def test_what_measured_efforts_contain_is_described(loop):
-    def values():
-        return part(Monitor().report(0.05, loop, FINE), 'efforts').values
-
-    assert values()['measured efforts contain gravity'] == 'yes'
-    assert values()['scale of the measured efforts'] == '1, 1'
-    loop.loads.apply(loop.loads.settings, include_gravity=False)
-    loop.external_effort_estimator.scale[:] = -1.0, 0.5
-    assert values()['measured efforts contain gravity'] == 'no'
-    assert values()['scale of the measured efforts'] == '-1, 0.5'
-    loop.measured_gravity = MeasuredGravity.INCLUDED
-    assert values()['measured efforts contain gravity'] == 'yes'
-
-
-def test_warnings_about_the_description_are_listed():
-    warnings = tuple(ModelWarning(text, 'hint') for text in ('first', 'second'))
-    robot = dataclasses.replace(ROBOT, warnings=warnings)
-    status = part(Monitor().report(0.0, ControlLoop(robot), FINE), 'model')
-    assert status.level is Level.WARN
-    assert status.message.startswith('2 warnings')
-    assert status.values['robot'] == ROBOT.name
-    assert status.values['warning 1'] == 'first'
-    assert status.values['warning 2'] == 'second'
-
-
-def test_a_lost_imu_is_an_error_until_it_returns():
-    loop = ControlLoop(ROBOT, has_imu=True)
-    loop.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
-    assert part(Monitor().report(0.1, loop, FINE), 'model').level is Level.OK
-    status = part(Monitor().report(0.5, loop, FINE), 'model')
-    assert status.level is Level.ERROR
-    assert status.message.endswith('no message on imu for more than 0.2 s')
 
 
 def test_activity_names_a_joint_that_only_a_new_description_has(loop):
@@ -622,56 +503,47 @@ def test_activity_names_a_joint_that_only_a_new_description_has(loop):
     assert activity(0.01, other).endswith('no joint state of jaw yet')
 
 
-def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
-    loop.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
-    loop.step(0.01)
-    assert activity(0.01, loop).endswith(
-        'no finite efforts for this joint state and reference: '
-        "the acceleration of joint 'shoulder' is 1.7e+308"
-    )
-    loop.reference = None
-    step_until(loop, 0.05, 0.5)
-    store_state(loop.collector, 0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    loop.step(0.5)
-    assert 'efforts rise again after joint states have arrived for 0.2 s' in activity(0.5, loop)
+def test_locked_and_late_joints_are_named():
+    robot = load_urdf(STANFORD)
+    names = robot.joint_names
+    loop = ControlLoop(robot, names[:4], locked={names[4]: 0.0})
+    q = [0.0, 0.0, 0.5, 0.0, 0.0]
+    store_state(loop.collector, 0.0, [*names[:4], names[5]], q, [0.0] * 5)
+    loop.step(0.0)
+    found = part('joint states', loop)
+    assert (found.level, 'locked' in found.message) == (WARN, True)
+    assert found.values['locked, never reported'] == names[4]
+    assert found.values['late, not commanded'] == found.values['without velocity'] == 'none'
+    store_state(loop.collector, 9.0, names[:4], q[:4], [0.0] * 4)
+    loop.step(9.0)
+    found = part('joint states', loop, 9.0)
+    assert found.level is WARN
+    assert found.values['late, not commanded'] == names[5]
 
 
-@pytest.mark.parametrize(
-    ('publishers', 'silence', 'words'),
-    [
-        (0, 9.0, ''),
-        (2, 4.0, ''),
-        (2, 9.0, '2 publishers are connected'),
-        (1, 9.0, '1 publisher is connected'),
-    ],
-)
-def test_connected_publishers_from_which_nothing_arrives_are_reported(publishers, silence, words):
-    loop = ControlLoop(ROBOT, period=0.05)
-    around = FINE._replace(publishers=publishers, silence=silence)
-    message = part(Monitor().report(9.0, loop, around), 'joint states').message
-    assert words in message
-    assert ('connected' in message) is bool(words)
+def test_loads_and_what_measured_efforts_contain_are_described(loop):
+    loop.loads.set_payload(ROBOT.link_names[-1], 2.5, [0.1, 0.0, 0.0], np.zeros((3, 3)))
+    loop.loads.apply(loop.loads.settings, include_gravity=False)
+    found = part('model', loop)
+    assert (found.level, ROBOT.name in found.message) == (OK, True)
+    assert found.values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
+    assert found.values['payload com [m]'] == '0.1, 0, 0'
+    assert found.values['gravity [m/s^2]'] == 'not included'
+    assert found.values['gravity in the root link [m/s^2]'].endswith('-9.807')
+    loop.external_effort_estimator.scale[:] = -1.0, 0.5
+    values = part('efforts', loop).values
+    assert values['measured efforts contain gravity'] == 'no'
+    assert values['scale of the measured efforts'] == '-1, 0.5'
+    loop.measured_gravity = MeasuredGravity.INCLUDED
+    assert part('efforts', loop).values['measured efforts contain gravity'] == 'yes'
 
 
-def test_all_joints_that_were_clamped_since_the_last_report_are_named(loop):
-    monitor = Monitor()
-    for k in range(2):
-        monitor.step(0.1 * k, 1e-4, command(np.arange(2) == k), JOINTS)
-    message = part(monitor.report(0.2, loop, FINE), 'efforts').message
-    assert all(joint in message for joint in JOINTS)
-
-
-def test_messages_rejected_after_a_report_are_in_the_next_one(loop):
-    monitor = Monitor()
-    for _ in range(2):
-        monitor.reject('imu', 'broken')
-        assert part(monitor.report(0.0, loop, FINE), 'messages').level is Level.WARN
-
-
-def test_the_age_of_the_joint_states_is_reported(loop):
-    store_state(loop.collector, 7.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    values = part(Monitor().report(7.25, loop, FINE), 'joint states').values
-    assert values['age [s]'] == '0.250'
+def test_warnings_about_the_description_are_listed():
+    warnings = tuple(ModelWarning(text, 'hint') for text in ('first', 'second'))
+    found = part('model', ControlLoop(dataclasses.replace(ROBOT, warnings=warnings)), 0.0)
+    assert found.level is WARN
+    assert found.message.startswith('2 warnings')
+    assert (found.values['warning 1'], found.values['warning 2']) == ('first', 'second')
 
 
 def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
