@@ -141,19 +141,6 @@ def strict_code(options: argparse.Namespace, is_met: object) -> int:
     return 3 if options.strict and is_met else 0
 
 
-def add_at(parser: argparse.ArgumentParser, which: str) -> None:
-    """Add the option --at; `which` completes the help "position [rad, m] of a joint ..."."""
-    parser.add_argument(
-        '--at',
-        action='append',
-        default=[],
-        type=_joint_position,
-        metavar='JOINT=POSITION',
-        help=f'position [rad, m] of a joint {which} (default: the position in its range that is '
-        'nearest to 0); may be repeated',
-    )
-
-
 def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
     """Return a function that parses a number; its error message ends with `expected`."""
 
@@ -170,14 +157,6 @@ def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], 
 
 
 positive = number('a positive number', lambda value: 0.0 < value < math.inf)
-
-
-def _joint_position(text: str) -> tuple[str, float]:
-    name, _, position = text.rpartition('=')
-    try:
-        return name, float(position)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=POSITION") from None
 
 
 def _payload(text: str) -> tuple[float, list[float]]:

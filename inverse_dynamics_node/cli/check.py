@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-import csv
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +25,7 @@ from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
 from .console import progress, say, show, show_warnings
-from .output_files import check_outputs, new_file
+from .output_files import check_outputs
 from .pictures.check import draw
 from .pictures.style import write_picture
 
@@ -62,11 +60,6 @@ def make_parser() -> argparse.ArgumentParser:
     arguments.add_link(parser)
     arguments.add_gravity(parser)
     arguments.add_picture(parser)
-    arguments.add_output(
-        parser,
-        '--poses',
-        'the worst poses as CSV: for each joint, the pose with its largest gravity effort',
-    )
     parser.add_argument(
         '--samples',
         type=_sample_count,
@@ -87,11 +80,7 @@ def _sample_count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    check_outputs(
-        [options.urdf],
-        {'--poses': options.poses, '--picture': options.picture},
-        options.force,
-    )
+    check_outputs([options.urdf], {'--picture': options.picture}, options.force)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     warnings = warnings_about(robot)
@@ -105,9 +94,6 @@ def run(options: argparse.Namespace) -> int:
     warnings += beyond_limits(workspace)
     tables = [*model_tables(dynamics), workspace_table(workspace, payload)]
     _show(f'{_usable(warnings)} {verdict(workspace, payload)}', tables, warnings)
-    if options.poses:
-        write_poses(workspace, options.poses)
-        print(f'written: {options.poses}')
     if options.picture:
         drawing = partial(draw, dynamics, workspace, payload, options.urdf.name)
         write_picture(drawing, options.picture)
@@ -180,7 +166,6 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     if sum(width + 2 for width in widths if width) > WIDTH:
         columns, rows = columns[:-1], [row[:-1] for row in rows]
-        notes += ('The worst poses do not fit in this table; --poses FILE writes them as CSV.',)
     count = len(workspace.poses) - len(rows)
     title = f'Efforts that hold the robot, in {count} sampled poses and the worst poses near them'
     return Table(
@@ -238,16 +223,3 @@ def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
 
 def _short_pose(pose: Floats) -> str:
     return ' '.join(f'{round(float(x), 2) + 0.0:g}' for x in pose)
-
-
-def write_poses(workspace: Workspace, path: Path) -> None:
-    """Write a CSV row for each joint, with the pose in which its gravity effort is largest."""
-    names = workspace.robot.joint_names
-    with new_file(path) as temporary, temporary.open('w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        rows.writerow(['joint', 'gravity_effort', 'effort_limit', *names])
-        for i, name in enumerate(names):
-            k = workspace.worst[i]
-            limit = number(workspace.limits[i]).replace('-', '')
-            pose = (f'{x:.6g}' for x in workspace.poses[k])
-            rows.writerow([name, f'{workspace.efforts[k, i]:.6g}', limit, *pose])

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-import math
 from pathlib import Path
-
-import numpy as np
 
 from ..analysis.diagnosis import (
     ComparisonResult,
@@ -15,9 +12,6 @@ from ..analysis.diagnosis import (
     FaultKind,
     friction_parameters,
 )
-from ..analysis.recordings.signals import Recording
-from ..dynamics.inverse_dynamics import FRICTION_WIDTH
-from ..errors import RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
 from ..robot.limit_checks import position_warnings
@@ -31,7 +25,7 @@ from .recordings import measured_efforts, read_recording
 EPILOG = """\
 examples:
   inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
-  inverse_dynamics compare my_arm.urdf run.mcap --topic /joint_states --from 2 --to 30
+  inverse_dynamics compare my_arm.urdf run.mcap --topic /joint_states
   inverse_dynamics compare my_arm.urdf run.db3 --parameters friction.yaml
   inverse_dynamics compare my_arm.urdf run.mcap --node-parameters driver.yaml
   inverse_dynamics compare my_arm.urdf run.csv --link tool0 --payload 1.5,0,0,0.05
@@ -66,20 +60,6 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         '--topic', help='topic of the joint states (default: the only one with efforts)'
     )
-    parser.add_argument(
-        '--from',
-        dest='start',
-        type=float,
-        metavar='S',
-        help='time since the first sample [s]; earlier samples are ignored',
-    )
-    parser.add_argument(
-        '--to',
-        dest='end',
-        type=float,
-        metavar='S',
-        help='time since the first sample [s]; later samples are ignored',
-    )
     role = (
         '; with --link, an unknown payload is sought only on this link, otherwise at the end of '
         'every chain'
@@ -88,13 +68,6 @@ def make_parser() -> argparse.ArgumentParser:
     arguments.add_payload(parser)
     arguments.add_gravity(parser)
     arguments.add_friction(parser)
-    parser.add_argument(
-        '--coulomb-width',
-        type=arguments.number('a speed above 0', lambda speed: 0.0 < speed < math.inf),
-        metavar='SPEED',
-        help='speed below which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
-        f'{FRICTION_WIDTH} if it cannot be fitted)',
-    )
     arguments.add_node_parameters(parser)
     arguments.add_output(
         parser,
@@ -109,7 +82,6 @@ def make_parser() -> argparse.ArgumentParser:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    width = options.coulomb_width
     picture = f'{options.recording.stem}_compare.png'
     check_outputs(
         [options.urdf, options.recording, *filter(None, [options.node_parameters])],
@@ -119,14 +91,11 @@ def run(options: argparse.Namespace) -> int:
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     if options.friction:
-        dynamics.set_friction(width=FRICTION_WIDTH if width is None else width)
+        dynamics.set_friction()
     load = arguments.attach_payload(dynamics, options)
     convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
     recording, notes = read_recording(options.recording, robot, options.topic, scale)
-    recording = _between(recording, options.start, options.end)
-    result = diagnose_recording(
-        dynamics, recording, link=options.link, width=width, convention=convention
-    )
+    result = diagnose_recording(dynamics, recording, options.link, convention)
     say(verdict(result))
     print()
     warnings = [
@@ -143,28 +112,6 @@ def run(options: argparse.Namespace) -> int:
     if path := try_to_draw(drawing, options, picture):
         print(f'picture: {path}')
     return arguments.strict_code(options, warnings)
-
-
-def _between(recording: Recording, start: float | None, end: float | None) -> Recording:
-    """Select the samples from `start` to `end`, which are times since the first sample [s]."""
-    times = recording.times - recording.times[0]
-    chosen = np.ones(len(times), dtype=bool)
-    if start is not None:
-        chosen &= times >= start
-    if end is not None:
-        chosen &= times <= end
-    if not chosen.any():
-        raise RecordingError(
-            f'nothing was recorded from {start or 0:g} s to '
-            f'{end if end is not None else times[-1]:g} s; the recording lasts {times[-1]:.3g} s'
-        )
-    velocities = recording.velocities
-    return recording._replace(
-        times=recording.times[chosen],
-        positions=recording.positions[chosen],
-        velocities=None if velocities is None else velocities[chosen],
-        efforts=recording.efforts[chosen],
-    )
 
 
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from ..analysis.excitation.limits import (
-    FRACTION,
     keep_clear,
     motion_limits,
     MotionLimits,
     whole_positions,
 )
-from ..analysis.excitation.search import DURATION, Excitation, find_excitation, HARMONICS, NOISE
+from ..analysis.excitation.search import DURATION, Excitation, find_excitation
 from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..errors import ConfigurationError
@@ -34,17 +33,19 @@ EPILOG = """\
 examples:
   inverse_dynamics excite my_arm.urdf
   inverse_dynamics excite my_arm.urdf --floor -0.1 --box 0.6 0 0.2 0.3 0.5 0.4
-  inverse_dynamics excite my_arm.urdf --joints elbow wrist --range elbow=-1.0:1.5
-  inverse_dynamics excite my_arm.urdf --speed 0.2
+  inverse_dynamics excite my_arm.urdf --joints elbow wrist
   inverse_dynamics effort my_arm.urdf my_arm_excite.csv
 
 The links stay at least 2 cm away from each other, from the floor and from each --box, according to
 the collision shapes of the URDF. Links that are close to each other by design may come closer. A
-payload has no shape: enclose it in a collision shape of the URDF. The straight path in joint
-space, from the pose that --at gives to the start pose, is checked too. Rehearse the motion with
---speed 0.2: the robot follows the same path, but five times slower. The motion is written as a
-JointTrajectory without efforts, as a joint_trajectory_controller expects. A second file contains a
-slow motion to the start pose. Send this second file first. Record /joint_states during the motion.
+payload has no shape: enclose it in a collision shape of the URDF. To restrict the motion, narrow
+the limits in a copy of the URDF. The straight path in joint space to the start pose is checked
+too. It begins at the pose with all joints at 0, or at the limit nearest to 0.
+
+The motion is written as a JointTrajectory without efforts, as a joint_trajectory_controller
+expects. Two more files contain a slow motion to the start pose (_start.yaml), and the motion five
+times slower (_rehearsal.yaml). Send the start and the rehearsal first. Record /joint_states during
+the motion.
 
 exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
 arguments."""
@@ -52,9 +53,8 @@ arguments."""
 _YAML_RATE = 20.0
 """Rate of the points in the JointTrajectory [Hz]."""
 _SLOW = 0.2
-"""Fraction of the speed limits that the motion to the start pose may use."""
+"""Fraction of the speed limits in the motion to the start, and of the speed in the rehearsal."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
-_speed = arguments.number('a factor above 0 and up to 1', lambda value: 0.0 < value <= 1.0)
 _height = arguments.number("a height or 'none'", math.isfinite)
 
 
@@ -88,16 +88,6 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         help='joints to move (default: all except those that carry little mass, such as fingers)',
     )
     parser.add_argument(
-        '--range',
-        action='append',
-        default=[],
-        type=_range,
-        metavar='JOINT=LOW:HIGH',
-        help='range in which the joint may move [rad, m], not reduced by --fraction; may be '
-        'repeated',
-    )
-    arguments.add_at(parser, 'before the motion; a joint that is not moved keeps this position')
-    parser.add_argument(
         '--floor',
         type=_floor,
         default=0.0,
@@ -114,45 +104,16 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         help='obstacle: the centre of a box, and its lengths along the axes of the base [m]; may '
         'be repeated',
     )
-    parser.add_argument(
-        '--fraction',
-        type=float,
-        default=FRACTION,
-        metavar='F',
-        help='fraction of the position, speed and effort limits to use (default: %(default)g)',
-    )
 
 
 def _add_motion(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the motion, the noise of the efforts, and the rate of the CSV file."""
+    """Add the options for the duration of the motion and the rate of the CSV file."""
     parser.add_argument(
         '--duration',
         type=_positive,
         default=DURATION,
         metavar='SECONDS',
         help='duration at full speed [s] (default: %(default)g)',
-    )
-    parser.add_argument(
-        '--harmonics',
-        type=int,
-        default=HARMONICS,
-        metavar='N',
-        help='number of harmonics of the Fourier series, at least 2 (default: %(default)d)',
-    )
-    parser.add_argument(
-        '--speed',
-        type=_speed,
-        default=1.0,
-        metavar='FACTOR',
-        help='fraction of the full speed, up to 1, such as 0.2 for a rehearsal (default: 1)',
-    )
-    parser.add_argument(
-        '--noise',
-        type=_positive,
-        metavar='EFFORT',
-        help='assumed standard deviation of the noise in measured efforts [N m, N] (default: '
-        f'{100.0 * NOISE:g} %% of the effort limit, or of the largest modelled effort if there '
-        'is no limit)',
     )
     parser.add_argument(
         '--rate',
@@ -166,13 +127,10 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
 def _add_files(parser: argparse.ArgumentParser) -> None:
     """Add the options for the files to write."""
     arguments.add_output(
-        parser, '--csv', 'the motion as CSV (default: <name of the URDF>_excite.csv)'
-    )
-    arguments.add_output(
         parser,
         '--trajectory-out',
-        'the motion as a JointTrajectory (default: <name of the URDF>_excite.yaml); the motion to '
-        'the start pose is written to a second file, whose name ends with _start.yaml',
+        'the motion as a JointTrajectory (default: <name of the URDF>_excite.yaml); the names of '
+        'the other files begin with the same stem',
         'YAML',
     )
     arguments.add_picture(parser, '<name of the URDF>_excite.png')
@@ -182,17 +140,17 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     stem = f'{arguments.stem_of(options.urdf)}_excite'
-    if options.speed < 1.0:
-        stem = f'{stem}_speed_{options.speed:g}'
-    csv = options.csv or Path(f'{stem}.csv')
     yaml = options.trajectory_out or Path(f'{stem}.yaml')
-    start = yaml.with_name(f'{yaml.stem}_start{yaml.suffix}')
+    start, rehearsal, csv = (
+        yaml.with_name(yaml.stem + end) for end in ('_start.yaml', '_rehearsal.yaml', '.csv')
+    )
     check_outputs(
         [options.urdf],
         {
-            '--csv': csv,
             '--trajectory-out': yaml,
             'start motion': start,
+            'rehearsal': rehearsal,
+            'table': csv,
             '--picture': arguments.picture_or(options, f'{stem}.png'),
         },
         options.force,
@@ -203,24 +161,22 @@ def run(options: argparse.Namespace) -> int:
     arguments.attach_payload(dynamics, options)
     limits = _limits(robot, source, options)
     with progress('searching for the best motion') as report:
-        noise = None if options.noise is None else np.array(options.noise)
-        excitation = find_excitation(
-            dynamics, limits, options.duration, options.harmonics, noise, report
-        )
-    trajectory = excitation.series.trajectory(options.rate, options.speed)
+        excitation = find_excitation(dynamics, limits, options.duration, report)
+    trajectory = excitation.series.trajectory(options.rate)
     efforts = trajectory_efforts(dynamics, trajectory, limits.rest)
     assert limits.clearance
     box = limits.clearance.extent(whole_positions(limits, trajectory.positions))
     show(*excitation_tables(robot, excitation, trajectory, efforts, box))
-    say('Before the motion runs at full speed, rehearse it: run this command with --speed 0.2.')
+    say('Before the motion runs at full speed, rehearse it, with a hand on the emergency stop.')
     print()
 
     with new_file(csv) as temporary:
         write_table(temporary, trajectory, efforts)
     to_start = _to_start(excitation)
     for path, motion in (
-        (yaml, excitation.series.trajectory(_YAML_RATE, options.speed)),
+        (yaml, excitation.series.trajectory(_YAML_RATE)),
         (start, to_start),
+        (rehearsal, excitation.series.trajectory(_YAML_RATE, _SLOW)),
     ):
         with new_file(path) as temporary:
             write_trajectory(temporary, motion)
@@ -228,6 +184,7 @@ def run(options: argparse.Namespace) -> int:
         f'{csv}: the motion, with modelled efforts',
         f'{yaml}: the motion as a JointTrajectory',
         f'{start}: the motion to the start pose, which takes {to_start.times[0]:g} s',
+        f'{rehearsal}: the motion as a JointTrajectory, five times slower',
     ]
     drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, options.urdf.name)
     if path := try_to_draw(drawing, options, f'{stem}.png'):
@@ -238,9 +195,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
     """Return the limits and the obstacles that the options give."""
-    limits = motion_limits(
-        robot, options.joints, options.fraction, dict(options.range), dict(options.at)
-    )
+    limits = motion_limits(robot, options.joints)
     boxes = []
     for values in options.box:
         centre, lengths = np.array(values).reshape(2, 3)
@@ -265,15 +220,6 @@ def _to_start(excitation: Excitation) -> Trajectory:
     q, _, _ = excitation.series.sample(np.zeros(1))
     times = np.array([max(5.0, np.ceil(longest))])
     return Trajectory(excitation.series.joint_names, times, q, 0.0 * q, 0.0 * q)
-
-
-def _range(text: str) -> tuple[str, tuple[float, float]]:
-    name, _, ends = text.rpartition('=')
-    low, _, high = ends.partition(':')
-    try:
-        return name, (float(low), float(high))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=LOW:HIGH") from None
 
 
 def _floor(text: str) -> float:

@@ -82,12 +82,6 @@ def make_parser() -> argparse.ArgumentParser:
         '(needs ROS 2)',
     )
     parser.add_argument(
-        '--node',
-        type=node_name,
-        metavar='NODE',
-        help='node for --record and --apply (default: the only node)',
-    )
-    parser.add_argument(
         '--topic',
         help='topic of the joint states in a recording (default: the only one with efforts); '
         '--record uses the topic of the node',
@@ -103,7 +97,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=node_name,
         metavar='NODE',
         help='publish the payload to a running node, and wait until the node uses it '
-        '(needs ROS 2; default: the node of --node)',
+        '(needs ROS 2; default: the only node)',
     )
     arguments.add_picture(parser)
     arguments.add_force(parser)
@@ -122,9 +116,9 @@ def run(options: argparse.Namespace) -> int:
     if options.empty is not None:
         empty, _ = read_recording(options.empty, robot, options.topic)
     if options.record is not None:
-        options.node, status = _record(options, robot.joint_names)
+        node, status = _record(options, robot.joint_names)
         if source is None:
-            source, convention = options.node, reported_convention(status)
+            source, convention = node, reported_convention(status)
             scale = status.measured_scale()
         if gravity is STANDARD_GRAVITY and status.model and status.model.gravity_at_root:
             gravity = status.model.gravity_at_root
@@ -183,7 +177,7 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.recorder import JointStateRecorder
 
-    wanted = options.node or (None if options.apply is True else options.apply)
+    wanted = None if options.apply is True else options.apply
     path, seconds = options.loaded, options.record
     with observing_node(options.ros_arguments) as node:
         observer = Observer(node, choose_node(node, wanted, is_patient=False))
@@ -229,7 +223,7 @@ def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.payload import apply_payload
 
-    name = options.node if options.apply is True else options.apply
+    name = None if options.apply is True else options.apply
     with observing_node(options.ros_arguments) as node:
         found = choose_node(node, name, is_patient=False)
         apply_payload(node, Observer(node, found), result.link, result.body)

@@ -1,4 +1,4 @@
-"""Functions that complete, refine and smooth trajectories, and compute their efforts."""
+"""Functions that complete and refine trajectories, and compute their efforts."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
 """Largest allowed value of states times joints; more would need gigabytes of memory."""
-_FEWEST_TO_SMOOTH = 16
-"""Smallest number of points that `smooth` accepts."""
 
 
 class Trajectory(NamedTuple):
@@ -101,37 +99,6 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     for value, at_points in zip(values, given, strict=True):
         value[points] = at_points  # exactly, without rounding
     return Trajectory(whole.joint_names, fine, *values), points
-
-
-def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
-    """
-    Smooth measured positions, and derive velocities and accelerations.
-
-    The times of the result are evenly spaced. Velocities and accelerations in ``trajectory`` are
-    ignored. A second-order Butterworth low-pass filter with the cut-off frequency ``cutoff`` [Hz]
-    runs forwards and then backwards, so that the positions are not delayed. Central differences
-    give velocities and accelerations. Too few points, too low a sampling rate, or an invalid
-    trajectory raises a TrajectoryError.
-
-    """
-    _check(trajectory)
-    k = len(trajectory.times)
-    rate = (k - 1) / float(trajectory.times[-1] - trajectory.times[0]) if k > 1 else 0.0
-    if k < _FEWEST_TO_SMOOTH or not 0.0 < cutoff < 0.5 * rate:
-        raise TrajectoryError(
-            f'{k} points at {rate:.3g} Hz cannot be smoothed with a cutoff of {cutoff:g} Hz, '
-            f'expected at least {_FEWEST_TO_SMOOTH} points at more than {2.0 * cutoff:g} Hz'
-        )
-    from scipy.signal import butter, sosfiltfilt
-
-    times = np.linspace(trajectory.times[0], trajectory.times[-1], k)
-    even = [np.interp(times, trajectory.times, column) for column in trajectory.positions.T]
-    low_pass = butter(2, cutoff, fs=rate, output='sos')
-    run_in = min(k - 1, int(3.0 * rate / cutoff))  # points of padding, longer than the transient
-    positions = sosfiltfilt(low_pass, np.stack(even, axis=1), axis=0, padlen=run_in)
-    velocities = np.gradient(positions, times, axis=0, edge_order=2)
-    accelerations = np.gradient(velocities, times, axis=0, edge_order=2)
-    return Trajectory(trajectory.joint_names, times, positions, velocities, accelerations)
 
 
 def trajectory_efforts(

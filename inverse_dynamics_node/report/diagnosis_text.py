@@ -45,9 +45,9 @@ def advice(fault: Fault) -> str:
 
 
 def _options(fault: Fault) -> str:
-    """Return `compare` options that correct the fault or select its interval; '' if none exist."""
+    """Return `compare` options that correct the fault; '' if none exist."""
     if fault.interval is not None:
-        return f'--from {fault.interval[0]:.1f} --to {fault.interval[1]:.1f}'
+        return ''
     numbers = [0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in fault.values]
     if fault.kind is FaultKind.GRAVITY_COMPENSATED:
         return '--gravity 0 0 0'
@@ -374,8 +374,7 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
     ),
     FaultKind.EXTERNAL_FORCE: _fixed(
         'Somebody or something may have pushed the robot, or the robot may have touched its '
-        'surroundings. Cut off this interval with --from or --to before you use the fitted '
-        'friction.'
+        'surroundings. The friction was fitted without this interval.'
     ),
     FaultKind.ROTOR_INERTIA: _fixed("Set the parameter 'armature' of the node to these values."),
     FaultKind.OFFSET: _offset_advice,

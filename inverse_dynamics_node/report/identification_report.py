@@ -143,8 +143,6 @@ def body_table(result: IdentificationResult) -> Table:
         for body in result.bodies
         if len(body.links) > 1
     ]
-    if result.fixed:
-        notes.append(f'Links that keep their values: {", ".join(result.fixed)}.')
     if not result.accepted:
         notes.append('These values were not accepted and are not written to the URDF.')
     return Table('Bodies', columns, tuple(rows), tuple(notes))
@@ -202,7 +200,6 @@ def as_json(result: IdentificationResult) -> dict[str, Any]:
                 {'name': name, 'value': value, 'standard_error': error}
                 for name, value, error in result.base_parameters
             ],
-            'kept': result.fixed,
             'velocity_lags': result.signals[0].lags,
             'cut_off_frequency': result.signals[0].cut_off,
             'weight_of_urdf': result.urdf_weight,

@@ -89,9 +89,6 @@ def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):
     assert '…' not in output
     rows = output.split('Efforts that hold the robot')[1].split('Worst pose')[0]
     assert all(name in rows for name in names.values())
-    assert '--poses FILE writes them as CSV' in ' '.join(output.split())
-    assert main(['check', str(STANFORD), '--samples', '64']) == 0
-    assert '--poses' not in capsys.readouterr().out
 
 
 def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
@@ -102,14 +99,6 @@ def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
     show(table)
     assert '…' in capsys.readouterr().out
-
-
-def test_poses_are_written_by_name(tmp_path):
-    assert main(['check', str(STANFORD), '--poses', 'poses.csv']) == 0
-    head, *rows = (tmp_path / 'poses.csv').read_text().splitlines()
-    assert head.startswith('joint,gravity_effort,effort_limit,joint_1,')
-    assert len(rows) == 6
-    assert rows[1].startswith('joint_2,32.17')
 
 
 def test_reads_standard_input(tmp_path, monkeypatch, capsys):

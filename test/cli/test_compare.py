@@ -270,14 +270,6 @@ def test_the_description_may_come_by_standard_input(short, here, monkeypatch, ca
     assert 'the model explains' in capsys.readouterr().out.lower()
 
 
-def test_part_of_a_recording_can_be_chosen(short, here, capsys):
-    write_csv(here / 'run.csv', short)
-    assert compare('run.csv', '--no-picture', '--from', '0.5', '--to', '2.5') == 0
-    assert 'over 1.9 s' in ' '.join(capsys.readouterr().out.split())
-    assert compare('run.csv', '--no-picture', '--from', '7') == 1
-    assert 'nothing was recorded from 7 s' in capsys.readouterr().err
-
-
 def test_unknown_and_missing_joints_are_reported(short, here, capsys):
     names = ('finger', *short.joint_names[1:])
     write_csv(here / 'run.csv', short._replace(joint_names=names))
@@ -402,12 +394,6 @@ def test_invalid_settings_are_reported(short, here, arguments, words, capsys):
     write_csv(here / 'run.csv', short)
     assert compare('run.csv', '--no-picture', *arguments) == 1
     assert words in capsys.readouterr().err
-
-
-def test_a_friction_width_that_is_not_a_speed_is_refused(capsys):
-    with pytest.raises(SystemExit, match='2'):
-        compare('run.csv', '--coulomb-width', '0')
-    assert "argument --coulomb-width: '0' is not a speed above 0" in capsys.readouterr().err
 
 
 def test_the_node_accepts_the_parameters(recorded, here):

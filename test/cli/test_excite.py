@@ -19,6 +19,7 @@ NAMES = ROBOT.joint_names
 def brief(monkeypatch):
     monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
     monkeypatch.setattr(search, 'CANDIDATES', 4)
+    monkeypatch.setattr(search, 'HARMONICS', 3)
 
 
 def excite(*arguments):
@@ -52,14 +53,13 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
     ):
         assert words in printed
     # The files are those that `effort` reads.
-    assert main(['effort', str(STANFORD), 'stanford_excite.yaml', '--no-picture', '--strict']) == 0
+    assert main(['effort', str(STANFORD), 'stanford_excite.yaml', '--no-picture']) == 0
 
 
-def test_a_rehearsal_is_the_same_path_at_another_speed(here):
+def test_the_rehearsal_is_the_same_path_five_times_slower(here):
     assert excite() == 0
-    assert excite('--speed', '0.2') == 0
-    fast, _ = read_trajectory(here / 'stanford_excite.csv', NAMES)
-    slow, _ = read_trajectory(here / 'stanford_excite_speed_0.2.csv', NAMES)
+    fast, _ = read_trajectory(here / 'stanford_excite.yaml', NAMES)
+    slow, _ = read_trajectory(here / 'stanford_excite_rehearsal.yaml', NAMES)
     assert slow.times[-1] == 50.0
     assert_allclose(slow.positions[::5], fast.positions, atol=1e-8)
     assert_allclose(slow.velocities[::5], 0.2 * fast.velocities, atol=1e-8)
@@ -73,15 +73,15 @@ def test_the_picture_shows_the_path(here, size_of):
     assert height > 500
 
 
-def test_options_restrict_the_motion(here, capsys):
-    options = '--joints', NAMES[1], NAMES[3], '--range', f'{NAMES[1]}=-0.5:0.5'
-    files = '--csv', 'a.csv', '--trajectory-out', 'b.yaml'
-    assert excite(*options, *files, '--at', f'{NAMES[2]}=0.7', '--noise', '0.5') == 0
-    trajectory, _ = read_trajectory(here / 'a.csv', NAMES)
+def test_options_restrict_the_motion(here):
+    assert (
+        excite('--joints', NAMES[1], NAMES[3], '--floor', 'none', '--trajectory-out', 'b.yaml')
+        == 0
+    )
+    trajectory, _ = read_trajectory(here / 'b.csv', NAMES)
     assert trajectory.joint_names == (NAMES[1], NAMES[3])
-    assert np.abs(trajectory.positions[:, 0]).max() <= 0.5
-    assert sorted(path.name for path in here.iterdir()) == ['a.csv', 'b.yaml', 'b_start.yaml']
-    assert '0.5 N m' in capsys.readouterr().out
+    names = ['b.csv', 'b.yaml', 'b_rehearsal.yaml', 'b_start.yaml']
+    assert sorted(path.name for path in here.iterdir()) == names
 
 
 def test_the_floor_is_at_the_base_unless_there_is_none(here, capsys):
@@ -93,19 +93,14 @@ def test_the_floor_is_at_the_base_unless_there_is_none(here, capsys):
 
 def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
     assert excite('--box', '0', '0', '0', '3', '3', '3') == 1
-    assert 'widen the ranges, lower the floor (--floor)' in capsys.readouterr().err
+    assert 'widen the ranges, or lower the floor (--floor)' in capsys.readouterr().err
     assert not list(here.iterdir())
 
 
 @pytest.mark.parametrize(
     ('arguments', 'code', 'words'),
     [
-        (['--speed', '2'], 2, "'2' is not a factor above 0 and up to 1"),
-        (['--range', 'joint_1=3'], 2, "'joint_1=3' is not JOINT=LOW:HIGH"),
-        (['--at', 'joint_1'], 2, "'joint_1' is not JOINT=POSITION"),
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
-        (['--fraction', '0'], 1, 'fraction is 0.0, expected a value above 0 and at most 1'),
-        (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
         (['--floor', '5'], 1, 'or switch it off (--floor none)'),
         (['--floor', 'deep'], 2, "'deep' is not a height or 'none'"),
         (['--box', '0', '0', '0', '1', '1', '0'], 1, 'three lengths above 0'),

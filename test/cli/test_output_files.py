@@ -12,8 +12,10 @@ from robot_files import ROOT, STANFORD
 
 MOVE = """\
 joint_names: [joint_2, joint_3]
-times: [0.0, 0.5, 1]
-positions: [[-1.0, 0.4], [-1.5, 0.9], [-1.0, 0.4]]
+points:
+- {positions: [-1.0, 0.4], time_from_start: 0}
+- {positions: [-1.5, 0.9], time_from_start: 0.5}
+- {positions: [-1.0, 0.4], time_from_start: 1}
 """
 
 

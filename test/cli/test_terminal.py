@@ -56,7 +56,9 @@ def write_table(path, name, rows=400):
 
 def test_a_description_cannot_control_the_terminal(here, capsys):
     urdf = hostile_urdf(here / 'arm.urdf')
-    (here / 'move.yaml').write_text('joint_names: [nope]\ntimes: [0]\npositions: [[0]]')
+    (here / 'move.yaml').write_text(
+        'joint_names: [nope]\npoints: [{positions: [0], time_from_start: 0}]'
+    )
     assert main(['check', urdf, '--samples', '64']) == 0
     assert main(['effort', urdf, 'move.yaml', '--no-picture']) == 1
     output = capsys.readouterr()

@@ -94,7 +94,7 @@ def test_ctrl_c_ends_the_recording(run_node, robot, payload, ended, tmp_path):
     (tmp_path / 'run.csv').write_text('mine')
     hold(robot, np.arange(7.0))
     robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
-    process = payload('run.csv', '--record', '1000', '--force', '--node', 'inverse_dynamics')
+    process = payload('run.csv', '--record', '1000', '--force')
     partial = tmp_path / 'run_partial.csv'
     robot.wait_until(lambda: partial.exists() and partial.stat().st_size > 10_000, 'rows')
     process.send_signal(signal.SIGINT)
@@ -110,7 +110,7 @@ def test_ctrl_c_ends_the_recording(run_node, robot, payload, ended, tmp_path):
 def test_joint_states_have_to_contain_efforts(run_node, robot, payload, ended, tmp_path):
     hold(robot, ())
     robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
-    code, output = ended(payload('run.csv', '--record', '1', '--node', '/inverse_dynamics'))
+    code, output = ended(payload('run.csv', '--record', '1'))
     assert code == 1
     assert 'the joint states on /joint_states have no efforts; configure the driver' in output
     assert not [*tmp_path.iterdir()]
@@ -176,7 +176,7 @@ def test_a_load_is_recorded_measured_and_applied_and_the_arm_follows_again(
         )
         robot.wait_until(lambda: brakes and not brakes[-1], 'open brakes')
         tracking.began = time.monotonic()
-        record = '--record', '6', '--node', '/inverse_dynamics'
+        record = '--record', '6'
         before, (code, _) = tracking.error_of(ended, payload('empty.csv', *record))
         assert code == 3  # the arm carries nothing
         load = Inertia(m=0.4, com=Vector3(x=0.02, y=-0.03, z=0.06), ixx=1e-3, iyy=1e-3, izz=1e-3)

@@ -192,8 +192,6 @@ def test_width_and_load_friction_are_fitted_and_written(rng):
     assert parameters['coulomb_width'][0] == pytest.approx(fits[0].width)
     assert parameters['load_friction'][1] == pytest.approx(fits[1].load_friction, rel=1e-3)
     assert parameters['armature'] == [0.5, *6 * [0.0]]
-    fixed = diagnose_recording(dynamics, recording, width=0.02)
-    assert not any(joint.friction.has_shape for joint in fixed.joints)
 
 
 # ---- Flaws of recordings -------------------------------------------------------------------

@@ -165,8 +165,6 @@ def test_gains_of_currents_are_found_up_to_a_common_factor():
     np.testing.assert_allclose(ratios / np.mean(ratios), 1.0, atol=0.2)
     assert 0.7 < np.mean(ratios) < 1.4
     assert 'up to one common factor' in result.warnings[0][0]
-    result = identify_parameters(robot, [currents], fixed=['link_2'], currents=True)
-    assert not any('common factor' in warning for warning, _ in result.warnings)
 
 
 def identified(seed=5, duration=20.0, **changes):

@@ -46,6 +46,7 @@ def brief(monkeypatch):
     """Search for a short time; the promises about distances do not depend on it."""
     monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
     monkeypatch.setattr(search, 'CANDIDATES', 4)
+    monkeypatch.setattr(search, 'HARMONICS', 3)
 
 
 def capsules_of(urdf, robot):
@@ -148,11 +149,12 @@ def test_slopes_of_the_violation_are_its_derivatives(rng):
 def test_a_motion_does_not_hit_the_base(brief):
     robot = load_urdf(ARM)
     dynamics = InverseDynamics(robot)
-    limits = motion_limits(robot, ranges={'fold': (1.8, 3.0)})
-    free = find_excitation(dynamics, limits, harmonics=3)
+    limits = motion_limits(robot)
+    limits.lower[1], limits.upper[1] = 1.8, 3.0
+    free = find_excitation(dynamics, limits)
     assert distance_of_fore_to_post(positions_of(free)).min() < 0.0
     clear = keep_clear(robot, limits, capsules_of(ARM, robot), 0.0)
-    excitation = find_excitation(dynamics, clear, harmonics=3)
+    excitation = find_excitation(dynamics, clear)
     q = positions_of(excitation)
     way = np.linspace(0.0, 1.0, 300)[:, np.newaxis] * q[0]
     smallest = min(distance_of_fore_to_post(part).min() for part in (q, way))
@@ -170,7 +172,7 @@ def test_links_of_unknown_shape_stay_above_the_floor_with_an_assumed_radius(brie
     assert 'is assumed for' in capsules.notes[0]
     assert 'it has no collision shape' in capsules.notes[0]
     limits = keep_clear(robot, motion_limits(robot), capsules, floor)
-    q = positions_of(find_excitation(InverseDynamics(robot), limits, harmonics=3))
+    q = positions_of(find_excitation(InverseDynamics(robot), limits))
     _, places = body_frames(robot, q)
     assert places[:, 3:, 2].min() > floor + capsules.radii[0]
 
@@ -179,7 +181,7 @@ def test_a_box_is_avoided(brief):
     robot = load_urdf(ARM)
     box = np.array([[0.3, 0.3, 0.2], [0.7, 0.7, 0.6]])
     limits = keep_clear(robot, motion_limits(robot), capsules_of(ARM, robot), 0.0, [box])
-    q = positions_of(find_excitation(InverseDynamics(robot), limits, harmonics=3))
+    q = positions_of(find_excitation(InverseDynamics(robot), limits))
     tips = 0.3 * np.array([np.cos(q[:, 0]), np.sin(q[:, 0])])
     tips += 0.35 * np.array([np.cos(q.sum(axis=1)), np.sin(q.sum(axis=1))])
     assert not ((tips > 0.3) & (tips < 0.7)).all(axis=0).any()

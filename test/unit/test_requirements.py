@@ -5,7 +5,6 @@ from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.dynamics.trajectory import (
     complete,
     refine,
-    smooth,
     Trajectory,
 )
 from inverse_dynamics_node.errors import TrajectoryError
@@ -110,32 +109,6 @@ def test_refining_does_not_change_a_fine_trajectory():
     assert refine(one, 0.01)[1].tolist() == [0]
     with pytest.raises(TrajectoryError, match='lacks velocities or accelerations'):
         refine(trajectory._replace(accelerations=None), 0.01)
-
-
-def test_smoothing_recovers_the_motion_from_noise(rng):
-    exact = swing(1001)
-    noisy = exact._replace(positions=exact.positions + rng.normal(0.0, 1e-4, (1001, 2)))
-    found, naive = smooth(noisy, 10.0), complete(Trajectory(*noisy[:3]))[0]
-    within = slice(50, -50)  # the filter is less accurate at the ends
-    error = np.abs(found.accelerations - exact.accelerations)[within]
-    assert np.max(error) < 0.5
-    assert np.max(np.abs(naive.accelerations - exact.accelerations)[within]) > 50.0
-    assert found.positions[within] == pytest.approx(exact.positions[within], abs=2e-3)
-    assert found.velocities[within] == pytest.approx(exact.velocities[within], abs=0.05)
-
-
-def test_smoothing_resamples_at_even_times(rng):
-    times = np.sort(rng.uniform(0.0, 2.0, 2000))
-    line = Trajectory(('joint_1',), times, 0.5 * times[:, np.newaxis])
-    even = smooth(line, 20.0)
-    assert np.diff(even.times) == pytest.approx(np.full(1999, np.diff(even.times)[0]))
-    assert even.positions[:, 0] == pytest.approx(0.5 * even.times, abs=1e-4)
-
-
-@pytest.mark.parametrize(('count', 'cutoff'), [(10, 1.0), (1, 1.0), (400, 100.0), (400, 0.0)])
-def test_smoothing_rejects_invalid_arguments(count, cutoff):
-    with pytest.raises(TrajectoryError, match='cannot be smoothed'):
-        smooth(swing(count), cutoff)
 
 
 def test_requirements_of_a_pendulum_match_a_manual_calculation():

@@ -138,7 +138,6 @@ def diagnose_recording(
     dynamics: InverseDynamics,
     recording: Recording,
     link: str | None = None,
-    width: float | None = None,
     convention: GravityConvention = WITH_GRAVITY,
 ) -> ComparisonResult:
     """
@@ -146,10 +145,8 @@ def diagnose_recording(
 
     The recording may contain any joints of the robot, in any order. Joints that were not recorded
     are assumed to rest at zero. `dynamics` must include all known loads. An unknown load is
-    searched for on `link`, or on the links from `tip_links()` if `link` is None. `width` is the
-    speed over which Coulomb friction is smoothed [rad/s or m/s]. If `width` is None, the width of
-    each joint is fitted if possible. The `convention` says whether measured efforts should contain
-    gravity.
+    searched for on `link`, or on the links from `tip_links()` if `link` is None. The `convention`
+    says whether measured efforts should contain gravity.
 
     Raise RecordingError if the robot lacks a recorded joint or the recording is not usable. Raise
     ConfigurationError if the link does not exist.
@@ -159,9 +156,7 @@ def diagnose_recording(
         robot.link_index(link)  # raises if the link does not exist
     index = _indices(recording.joint_names, robot)
     motion = derive(without_turns(robot, recording))
-    common_width = FRICTION_WIDTH if width is None else width
-    compared = ComparedEfforts(dynamics, motion, index, link, common_width, convention)
-    return _result(compared, fits_shape=width is None)
+    return _result(ComparedEfforts(dynamics, motion, index, link, FRICTION_WIDTH, convention))
 
 
 def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
@@ -176,7 +171,7 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     return [robot.joint_names.index(name) for name in names]
 
 
-def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
+def _result(recorded: ComparedEfforts) -> ComparisonResult:
     found = _search(recorded)
     compared, robot_fit, fault = found.compared, found.robot_fit, found.interval
     measured, efforts = corrected_efforts(compared, robot_fit, fault)
@@ -186,7 +181,7 @@ def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
     unknown = obscured(compared, robot_fit)
     fits = fit_joints(compared, measured[used] - efforts[used], unknown, used)
     load = np.abs(compared.rigid + added_efforts(compared, robot_fit))
-    if fits_shape and fault is None:
+    if fault is None:
         fits = with_shapes(compared, fits, measured - efforts, load)
     for c, fit in enumerate(fits):
         efforts[:, c] += friction_efforts(compared, c, fit, load[:, c])

@@ -8,7 +8,7 @@ and from obstacles.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
@@ -74,18 +74,15 @@ def motion_limits(
     robot: RobotModel,
     joints: Sequence[str] = (),
     fraction: float = FRACTION,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    rest: Mapping[str, float] | None = None,
 ) -> MotionLimits:
     """
     Collect the limits of a motion.
 
     `joints` are the joints to move. The default is all joints that can move, except joints that
     carry almost no mass. `fraction` is the part of the position ranges, speeds and efforts that
-    the motion may use. `ranges` replaces position ranges [rad or m] and is not reduced by
-    `fraction`. `rest` contains joint positions before the motion [rad or m]. A missing position is
-    0, or the limit nearest to 0 if 0 is out of range. Raises ConfigurationError if a joint does
-    not exist or cannot move, or if a value is invalid.
+    the motion may use. Before the motion, each joint is at 0, or at the limit nearest to 0 if 0 is
+    out of range. Raises ConfigurationError if a joint does not exist or cannot move, or if
+    `fraction` is invalid.
 
     """
     if not 0.0 < fraction <= 1.0:
@@ -94,13 +91,7 @@ def motion_limits(
         )
     notes: list[str] = []
     lower, upper, speeds = _ranges(robot, fraction, notes)
-    for name, (low, high) in (ranges or {}).items():
-        (i,) = robot.joint_indices([name])
-        _check_range(robot, i, low, high)
-        lower[i], upper[i] = low, high
     positions = np.clip(0.0, *joint_ranges(robot))
-    for name, position in (rest or {}).items():
-        positions[robot.joint_indices([name])[0]] = position
     still = {  # joints that cannot move, with the reason
         name: f'its range is only {low:g} to {high:g}'
         for name, low, high in zip(robot.joint_names, lower, upper, strict=True)
@@ -146,20 +137,6 @@ def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Float
         if found:
             notes.append(f'{words}: {listed(found)}')
     return middle - half, middle + half, fraction * speeds
-
-
-def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
-    name, unit = robot.joint_names[i], 'm' if robot.is_prismatic_joint[i] else 'rad'
-    if not (math.isfinite(low) and math.isfinite(high) and high - low >= _LEAST_RANGE):
-        raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected finite ends, "
-            f'with the upper end at least {_LEAST_RANGE:g} {unit} above the lower end'
-        )
-    if low < robot.lower[i] or high > robot.upper[i]:
-        raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected a range within the "
-            f'limits {robot.lower[i]:g} to {robot.upper[i]:g} {unit}'
-        )
 
 
 def _light(robot: RobotModel) -> dict[str, str]:

@@ -31,6 +31,7 @@ from .limits import excess, MotionLimits, States, whole_positions, whole_states
 
 DURATION = 10.0  # [s]
 HARMONICS = 5
+"""Number of harmonics of the Fourier series."""
 NOISE = 0.01
 """Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
 SAMPLES_PER_SECOND = 10.0
@@ -99,18 +100,15 @@ def find_excitation(
     dynamics: InverseDynamics,
     limits: MotionLimits,
     duration: float = DURATION,
-    harmonics: int = HARMONICS,
-    noise: Floats | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """
     Find an excitation motion.
 
-    Equal arguments give equal results. `duration` is the duration of the motion [s]. `harmonics`
-    is the number of harmonics of the Fourier series. `noise` is the standard deviation of measured
-    efforts [N m or N], as one value or as one value per moving joint. The default is `NOISE` times
-    the effort limit. The largest effort of random motions replaces a missing effort limit.
-    `progress` is called regularly with the completed fraction, 0 to 1.
+    Equal arguments give equal results. `duration` is the duration of the motion [s]. The assumed
+    standard deviation of measured efforts is `NOISE` times the effort limit. The largest effort of
+    random motions replaces a missing effort limit. `progress` is called regularly with the
+    completed fraction, 0 to 1.
 
     Raises ConfigurationError if an argument is invalid, if no pose is within the limits, or if
     every motion that was tried leads to a collision.
@@ -118,13 +116,9 @@ def find_excitation(
     """
     if not 0.0 < duration < math.inf:
         raise ConfigurationError(f'duration is {duration!r}, expected a finite time above 0 s')
-    if harmonics < 2:
-        raise ConfigurationError(f'harmonics is {harmonics}, expected at least 2')
-    motions = MotionSpace(dynamics, limits, duration, harmonics)
+    motions = MotionSpace(dynamics, limits, duration)
     candidates = motions.random(CANDIDATES, np.random.default_rng(0))
-    if noise is None:
-        noise = _assumed_noise(motions, candidates)
-    unknowns = Unknowns(dynamics, limits, np.broadcast_to(noise, (len(limits.index),)))
+    unknowns = Unknowns(dynamics, limits, _assumed_noise(motions, candidates))
     objective = _Objective(motions, unknowns)
     scores = [objective.log_det(x) for x in candidates]
     first = candidates[int(np.argmax(scores))]
@@ -145,7 +139,7 @@ def find_excitation(
             )
     raise ConfigurationError(
         'every motion that was tried leads to a collision, either during the motion or on the way '
-        'to its start; use --range to restrict the motion, or --at to set the initial pose'
+        'to its start; narrow the limits in a copy of the URDF'
     )
 
 
@@ -158,15 +152,13 @@ class MotionSpace:
 
     """
 
-    def __init__(
-        self, dynamics: InverseDynamics, limits: MotionLimits, duration: float, harmonics: int
-    ) -> None:
+    def __init__(self, dynamics: InverseDynamics, limits: MotionLimits, duration: float) -> None:
         self.dynamics, self.limits = dynamics, limits
-        self.shape = len(limits.index), 2 * harmonics - 1
-        count = _PER_HARMONIC * harmonics
+        self.shape = len(limits.index), 2 * HARMONICS - 1
+        count = _PER_HARMONIC * HARMONICS
         # The end is left out, because the end equals the start.
         self.basis, self._fine_basis, (self._pose_basis, _, _) = (
-            basis(np.linspace(0.0, duration, k * count, endpoint=False), duration, harmonics)
+            basis(np.linspace(0.0, duration, k * count, endpoint=False), duration, HARMONICS)
             for k in (1, _FINE, _DENSER)
         )
 
@@ -315,7 +307,7 @@ class MotionSpace:
         if below < _NEARLY_ALL * len(poses):
             return (
                 f'none of {len(poses)} sampled poses can be reached without a collision; widen '
-                'the ranges, lower the floor (--floor), or set another initial pose (--at)'
+                'the ranges, or lower the floor (--floor)'
             )
         lowest = float(clearance.extent(poses).lowest[2])
         height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0

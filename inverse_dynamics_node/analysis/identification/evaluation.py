@@ -115,7 +115,6 @@ def evaluate(
         verdict=_verdict(accepted, unseen),
         joints=joints,
         bodies=bodies,
-        fixed=_fixed(problem),
         inertials=identified.link_inertials(fit.model.bodies) if accepted else {},
         unseen=unseen,
         urdf_weight=urdf_weight,
@@ -375,18 +374,6 @@ def _base_parameters(
     names = base.names(problem.identified.names)
     errors = np.sqrt(np.maximum(variances, 0.0))
     return tuple(zip(names, values.tolist(), errors.tolist(), strict=True))
-
-
-def _fixed(problem: IdentificationProblem) -> tuple[str, ...]:
-    """Return the moving links that have mass and were not identified."""
-    identified = problem.identified
-    robot = identified.robot
-    changed = {link for links in identified.links for link in links}
-    return tuple(
-        name
-        for k, name in enumerate(robot.link_names)
-        if robot.link_mass[k] > 0.0 and k not in changed and robot.link_body[k] > 0
-    )
 
 
 def _warnings(

@@ -6,7 +6,7 @@ Joint terms are the effects of a drive, such as friction and armature.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -43,7 +43,6 @@ def identify_parameters(
     validation: Sequence[Recording] = (),
     gravity: Floats | tuple[float, ...] = STANDARD_GRAVITY,
     payload: tuple[str, float, Sequence[float]] | None = None,
-    fixed: Collection[str] = (),
     currents: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> IdentificationResult:
@@ -55,9 +54,9 @@ def identify_parameters(
     `recordings` is predicted by a fit to the other blocks.
 
     `gravity` is the free-fall acceleration in the base frame [m/s^2]. `payload` contains the link,
-    mass [kg] and centre of mass [m] of a known payload. The links in `fixed` do not change. If
-    `currents` is true, motor currents were recorded instead of efforts, and one gain per joint is
-    estimated. `progress` is called with the completed fraction, 0 to 1.
+    mass [kg] and centre of mass [m] of a known payload. If `currents` is
+    true, motor currents were recorded instead of efforts, and one gain per joint is estimated.
+    `progress` is called with the completed fraction, 0 to 1.
 
     Raises RecordingError if the recordings are unusable or too short, or contain too little
     information. Raises ConfigurationError if a link does not exist, or if nothing is left to
@@ -65,7 +64,7 @@ def identify_parameters(
 
     """
     joints = measured_joints(robot, recordings)
-    bodies = identified_bodies(robot, fixed)
+    bodies = identified_bodies(robot)
     gravity = np.array(gravity, dtype=float)
     problem = IdentificationProblem(bodies, joints, gravity, payload, currents)
     training, stretch = prepare_all(robot, recordings, joints)

@@ -8,7 +8,7 @@ per rotation of the preceding joint. The gain of a joint is the effort per unit 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -119,26 +119,22 @@ class IdentifiedBodies:
         return inertials
 
 
-def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> IdentifiedBodies:
+def identified_bodies(robot: RobotModel) -> IdentifiedBodies:
     """
-    Select the bodies to identify; the links in `fixed` do not change.
+    Select the bodies to identify.
 
-    Raises ConfigurationError if a link does not exist, or if nothing is left to identify.
+    Raises ConfigurationError if no moving link has mass.
 
     """
-    unchanged = {robot.link_index(name) for name in fixed}
     bodies, links = [], []
     for body in range(1, len(robot.parent)):
         on_body = np.flatnonzero((robot.link_body == body) & (robot.link_mass > 0.0))
-        identified = tuple(int(link) for link in on_body if int(link) not in unchanged)
+        identified = tuple(on_body.tolist())
         if identified:
             bodies.append(body)
             links.append(identified)
     if not bodies:
-        raise ConfigurationError(
-            f"robot '{robot.name}' has no moving link left to identify: "
-            'each is massless or must not change'
-        )
+        raise ConfigurationError(f"robot '{robot.name}' has no moving link with mass to identify")
     before = np.array([sum(_link_parameters(robot, link) for link in each) for each in links])
     return IdentifiedBodies(
         robot=robot,

@@ -131,8 +131,6 @@ class IdentificationResult:
     verdict: str
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
-    fixed: tuple[str, ...]
-    """Moving links that have mass but were not identified."""
     inertials: dict[str, RigidBody]
     """New inertials in the link frames, by link; empty if the model was not accepted."""
     unseen: Unseen
