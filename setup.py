@@ -84,8 +84,8 @@ setup(
     zip_safe=False,
     author='inverse_dynamics_node maintainers',
     maintainer='inverse_dynamics_node maintainers',
-    description='ROS 2 node that computes joint efforts for requested joint accelerations: '
-    'inverse dynamics, gravity compensation and computed torque for any URDF',
+    description='ROS 2 node that turns a URDF and joint states into joint efforts, for gravity '
+    'compensation, computed torque, joint impedance and feed-forward',
     long_description=Path(__file__).resolve().with_name('README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     license='Apache-2.0',
