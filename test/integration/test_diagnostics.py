@@ -1,6 +1,7 @@
-"""Diagnostics are published in every lifecycle state, with the right level."""
+"""What the node reports about itself, its inputs and other nodes: diagnostics and log."""
 
 import math
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Inertia, InertiaStamped
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 import rclpy
 from robot_files import ROOT, STANFORD
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header
 
 NAMES = list(load_urdf(STANFORD).joint_names)
 Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
@@ -80,14 +82,6 @@ def test_rates_and_ages_are_reported_while_active(run_node, robot, wait_for_stat
     assert values['gravity [m/s^2]'] == '0.000, 0.000, -9.807'
 
 
-def test_a_lost_state_is_an_error(run_node, robot, wait_for_status):
-    run_node(**LOSING)
-    robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('joint states', OK, 'fresh')
-    robot.state = None
-    wait_for_status('joint states', ERROR, f'lost: {NAMES[0]}')
-
-
 def test_limited_efforts_and_dropped_messages_are_counted(run_node, robot, wait_for_status):
     run_node(**PATIENT, effort_limits=1.0)
     robot.publish_state(NAMES, Q, np.zeros(6))
@@ -129,13 +123,6 @@ def test_every_lifecycle_state_is_reported(run_node, robot, wait_for_status):
     wait_for_status('joint states', OK, 'fresh')
     assert robot.change_state('cleanup')
     wait_for_status('loop', OK, 'unconfigured')
-
-
-def test_an_unknown_motion_of_the_base_is_an_error(run_node, robot, wait_for_status):
-    run_node(**PATIENT, base_motion='imu')
-    robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('model', ERROR, 'motion of the base is unknown: no message on imu yet')
-    wait_for_status('joint states', OK, 'fresh')
 
 
 def test_a_slow_joint_that_is_not_commanded_is_reported_while_the_arm_is_held(
@@ -212,3 +199,121 @@ def test_silent_publishers_are_reported(run_node, robot, wait_for_status):
     robot.wait_for_text(
         node, '(a killed publisher stays connected for up to 20 s); if ros2 topic hz'
     )
+
+
+def lines(node, words):
+    return [line for line in node.output.splitlines() if words in line]
+
+
+def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_for_status):
+    began, topic = time.monotonic(), '/inverse_dynamics/commands'
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    wait_for_status('other nodes', OK, '')
+    rival = run_node('-r', '__node:=left_behind', '-r', f'~/commands:={topic}', **PATIENT)
+    words = f'{topic} is also published by /left_behind'
+    robot.wait_for_text(node, words)
+    assert '[ERROR]' in lines(node, words)[0]
+    wait_for_status('other nodes', ERROR, words)
+    # The other one reports this one.
+    robot.wait_for_text(rival, f'{topic} is also published by /inverse_dynamics')
+    rival.interrupt()
+    robot.wait_for_end(rival)
+    robot.wait_for_text(node, 'no other node publishes the commands')
+    assert '[INFO]' in lines(node, 'no other node publishes the commands')[0]
+    wait_for_status('other nodes', OK, '')
+    # Repeated every 10 s, although it is found once a second.
+    assert len(lines(node, words)) < 3 + 0.2 * (time.monotonic() - began)
+
+
+def test_a_node_with_the_same_name_is_reported(run_node, robot):
+    nodes = [run_node(**PATIENT), run_node(**PATIENT)]
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    words = 'another node has the name /inverse_dynamics'
+    for node in nodes:
+        robot.wait_for_text(node, words)
+        assert '[ERROR]' in lines(node, words)[0]
+    nodes[1].interrupt()
+    robot.wait_for_end(nodes[1])
+    ended = time.monotonic()
+    robot.wait_for_text(nodes[0], 'no other node publishes the commands')
+    # A node that does not leave the graph stays listed for 20 s.
+    assert time.monotonic() - ended < 10.0
+
+
+def test_joints_topic_and_subscribers_are_reported_on_activation(run_node, robot):
+    joints = f'{NAMES[2]}, {NAMES[0]}'
+    node = run_node('-r', '~/commands:=/left/efforts', **PATIENT, joints=f'[{joints}]')
+    to = 'are sent to /left/efforts'
+    robot.wait_for_text(node, f'efforts for {joints} {to} (no subscriber yet)')
+    subscription = robot.node.create_subscription(
+        Float64MultiArray, '/left/efforts', lambda message: None, 10
+    )
+    robot.wait_for_text(node, 'first subscriber of /left/efforts: ')
+    # The name of a node may arrive seconds after its subscription.
+    (line,) = lines(node, 'first subscriber')
+    assert line.endswith((': /robot', ': a node with an unknown name'))
+
+    def is_named():
+        assert robot.change_state('deactivate')
+        assert robot.change_state('activate')
+        return f'efforts for {joints} {to} (/robot)' in node.output
+
+    robot.wait_until(is_named, 'name of the subscriber')
+    robot.node.destroy_subscription(subscription)
+    robot.wait_for_text(node, 'the last subscriber of /left/efforts is gone')
+    assert len(lines(node, 'first subscriber')) == 1
+
+
+def test_publishers_are_not_reported_missing_while_they_are_discovered(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.wait_for_text(node, 'no command yet')
+    # A second after the node was configured. How long the discovery takes is up to the middleware.
+    assert 'publisher' in lines(node, 'no command yet')[0]
+    robot.wait_for_text(node, '(1 publisher)')
+
+
+def test_activities_are_reported_in_plain_words(run_node, robot):
+    node = run_node(**{**FAST, 'state_timeout': 2.0, 'stop_ramp': 1.0})
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.wait_for_text(node, '[INFO]')
+    robot.wait_for_text(node, 'floating: no reference')
+    robot.publish_accelerations(np.zeros(6))
+    robot.wait_for_text(node, 'following the reference')
+    robot._always = []
+    robot.wait_for_text(node, 'floating: no reference for more than 0.5 s')
+    robot.state = None
+    reason = f'no joint state of {", ".join(NAMES)} for more than 2 s'
+    robot.wait_for_text(node, f'ramping efforts down: {reason}')
+    robot.wait_for_text(node, f'stopped, zeros sent: {reason}')
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    count = len(lines(node, 'floating'))
+    robot.wait_until(lambda: len(lines(node, 'floating')) > count, 'floating again')
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    assert lines(node, 'ramping efforts down: the process is ending')
+    assert lines(node, 'stopped, zeros sent: the process is ending')
+
+
+def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_status):
+    node = run_node(**PATIENT, use_sim_time=True)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    words = 'use_sim_time is set, but nothing publishes /clock'
+    robot.wait_for_text(node, words)
+    assert '[WARN]' in lines(node, words)[0]
+    wait_for_status('clock', ERROR, words)
+    robot.wait_until(
+        lambda: any('[ERROR]' in line for line in lines(node, words)[1:]), 'the error'
+    )
+    ticks = robot.keep_publishing('/clock', Clock())
+    robot.cease(ticks)
+    robot.keep_ticking(100.0)
+    robot.wait_for_text(node, 'simulated time advances')
+    wait_for_status('clock', OK, '')
+    robot._always = []  # the publisher remains, as that of a simulation that is paused
+    wait_for_status('clock', WARN, 'is the simulation paused?')
+    robot.wait_for_text(node, 'simulated time has not advanced for more than 5 s')
+    # Lasting problems are repeated by steady time, since simulated time has stopped.
+    robot.publish_accelerations([1.0])
+    words = '1 acceleration values, expected 6'
+    robot.wait_until(lambda: len(lines(node, words)) > 1, 'another warning')

@@ -1,14 +1,27 @@
-"""What the node writes to /diagnostics is what `watch` reads."""
+"""What the node writes to /diagnostics is what `watch` reads, and what the status answers."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 import math
 from types import SimpleNamespace
+from typing import get_args, get_origin, get_type_hints
 
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_dynamics_node.control import status
 from inverse_dynamics_node.control.settings import Mode
-from inverse_dynamics_node.control.status import Level, LoopStatus, NodeStatus
+from inverse_dynamics_node.control.status import (
+    EffortsStatus,
+    JointStatesStatus,
+    Level,
+    LoopStatus,
+    MessagesStatus,
+    ModelStatus,
+    NodeNames,
+    NodeStatus,
+    Payload,
+    Problem,
+    SchedulingStatus,
+)
 from inverse_dynamics_node.control.supervision import Phase
 import pytest
 
@@ -21,110 +34,56 @@ from inverse_dynamics_node.ros.diagnostics import (
     write_values,
 )
 
-TEXTS = st.text('abc ,:/-9', max_size=20)
-NAMES = st.text('abc_/ 9', min_size=1, max_size=8)
-SEVERAL = st.lists(NAMES, max_size=3).map(tuple)
-SOME = st.lists(NAMES, min_size=1, max_size=3).map(tuple)
 COUNTS = st.integers(0, 10**6)
+NAMES = st.text('abc_/ 9', min_size=1, max_size=8)
+DECIMALS = {'.1f': 1, '.3f': 3, 'g': 3, '.4g': 2}  # of numbers that are printed with all digits
+VALUES = {
+    str: NAMES,
+    int: COUNTS,
+    bool: st.booleans(),
+    Mode: st.sampled_from(Mode),
+    Phase: st.sampled_from(Phase),
+    Payload: st.builds(Payload, st.integers(0, 999), NAMES),
+    NodeNames: st.lists(NAMES, max_size=8).map(NodeNames.of),
+}
 
 
-def numbers(decimals, least=0):
-    """Return numbers that are printed with all of their at most six digits."""
-    return st.integers(least, 999_999).map(lambda k: k / 10**decimals)
+def numbers(form, factor):
+    most = 9999 if form == '.4g' else 999_999
+    decimals = 10 ** DECIMALS[form]
+    found = st.integers(-most, most).map(lambda k: k / decimals / factor)
+    return found | st.just(math.inf) if form == 'g' else found
 
 
-def optional(values):
-    return st.none() | values
+def values_of(hint, metadata):
+    """Return a strategy for the values of a field."""
+    if type(None) in get_args(hint):
+        values = values_of(get_args(hint)[0], metadata)
+        return values if get_origin(get_args(hint)[0]) is Mapping else st.none() | values
+    if get_origin(hint) is Mapping:
+        return st.dictionaries(NAMES, COUNTS, max_size=3)
+    if get_origin(hint) is tuple:
+        return st.lists(values_of(get_args(hint)[0], metadata), max_size=3).map(tuple)
+    if hint is float:
+        return numbers(metadata['form'], 1e3 if '[ms]' in metadata['key'] else 1.0)
+    return VALUES[hint]
 
 
-def part(kind, **values):
-    return st.builds(kind, level=st.sampled_from(Level), message=TEXTS, **values)
+def part_of(hint):
+    """Return a strategy for one part of the status; the loop is never None."""
+    kind = get_args(hint)[0] if get_args(hint) else hint
+    hints = get_type_hints(kind)
+    values = {
+        field.name: values_of(hints[field.name], field.metadata)
+        for field in fields(kind)
+        if 'key' in field.metadata
+    }
+    found = st.builds(kind, level=st.sampled_from(Level), message=NAMES, **values)
+    return st.none() | found if get_args(hint) else found
 
 
-NODES = st.lists(NAMES, max_size=8).map(status.NodeNames.of)
-TOTALS = st.dictionaries(NAMES, COUNTS, max_size=3)
-TIMES = numbers(3).map(lambda milliseconds: milliseconds / 1e3)
-MODES = st.sampled_from(Mode)
 STATUSES = st.builds(
-    NodeStatus,
-    loop=part(
-        LoopStatus,
-        state=TEXTS,
-        rate=numbers(1),
-        requested_rate=optional(numbers(3)),
-        period_p99=optional(TIMES),
-        period_worst=optional(TIMES),
-        compute_time_p99=optional(TIMES),
-        overruns=COUNTS,
-        mode=optional(MODES),
-        phase=optional(st.sampled_from(Phase)),
-        is_dry_run=optional(st.booleans()),
-        gain=optional(numbers(3)),
-    ),
-    messages=optional(part(status.MessagesStatus, rejected=st.dictionaries(TEXTS, COUNTS))),
-    other_nodes=optional(
-        part(
-            status.OtherNodesStatus,
-            commands=TEXTS,
-            subscribers=NODES,
-            rivals=NODES,
-            namesakes=COUNTS,
-        )
-    ),
-    clock=optional(
-        part(status.ClockStatus, time=numbers(3), unchanged_for=numbers(1), publishers=COUNTS)
-    ),
-    joint_states=optional(
-        part(
-            status.JointStatesStatus,
-            topic=TEXTS,
-            rate=numbers(1),
-            age=optional(numbers(3, -999_999)),
-            timeout=numbers(3),
-            publishers=COUNTS,
-            late=SEVERAL,
-            locked=SEVERAL,
-            without_velocity=SEVERAL,
-        )
-    ),
-    reference=optional(
-        part(status.ReferenceStatus, age=optional(numbers(3)), timeout=numbers(3), mode=MODES)
-    ),
-    efforts=optional(
-        part(
-            status.EffortsStatus,
-            receivers=COUNTS,
-            topic=TEXTS,
-            external_topic=TEXTS,
-            measures_gravity=optional(st.booleans()),
-            scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),
-            measured_scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),
-            limits=st.lists(numbers(3) | st.just(math.inf), min_size=1, max_size=7).map(tuple),
-            cut=SEVERAL,
-            cut_counts=TOTALS,
-            slowed_counts=TOTALS,
-        )
-    ),
-    model=optional(
-        part(
-            status.ModelStatus,
-            robot=TEXTS,
-            mass=st.integers(0, 9999).map(lambda k: k / 100),
-            joints=SOME,
-            payloads=st.lists(st.builds(status.Payload, numbers(3), NAMES), max_size=2).map(tuple),
-            payload_coms=st.lists(st.sampled_from([0.0, -0.12, 1.5]), max_size=6).map(tuple),
-            gravity=optional(st.tuples(*[numbers(3, -999_999)] * 3)),
-            gravity_at_root=optional(st.tuples(*[numbers(3, -999_999)] * 3)),
-            warnings=st.lists(TEXTS, max_size=2).map(tuple),
-        )
-    ),
-    scheduling=optional(
-        part(
-            status.SchedulingStatus,
-            policy=optional(NAMES),
-            priority=optional(COUNTS),
-        )
-    ),
+    NodeStatus, **{name: part_of(hint) for name, hint in get_type_hints(NodeStatus).items()}
 )
 
 
@@ -139,11 +98,43 @@ def test_a_message_of_another_node_is_not_read():
         assert read_status(message, name) is None
 
 
-def test_limits_of_currents_are_those_of_the_efforts_of_the_model():
-    efforts = status.EffortsStatus(scale=(500.0, -2.0, 0.0), limits=(1000.0, 8.0, 3.0))
-    model = status.ModelStatus(joints=('hip', 'knee', 'toe'))
-    arm = NodeStatus(LoopStatus(), efforts=efforts, model=model)
-    assert arm.unscaled_limits() == {'hip': 2.0, 'knee': 4.0}
+LOOP = LoopStatus(state='active')
+MODEL = ModelStatus(joints=('hip', 'knee'))
+EFFORTS = EffortsStatus(limits=(5.0, 7.0), measured_scale=(1.0, -2.0))
+
+
+def test_values_of_the_commanded_joints_are_found_by_name():
+    status = NodeStatus(LOOP, efforts=EFFORTS, model=MODEL)
+    assert status.limits() == {'hip': 5.0, 'knee': 7.0}
+    assert status.measured_scale() == {'hip': 1.0, 'knee': -2.0}
+    efforts = EffortsStatus(scale=(500.0, 0.0), limits=(1000.0, 3.0))
+    assert NodeStatus(LOOP, efforts=efforts, model=MODEL).unscaled_limits() == {'hip': 2.0}
+
+
+def test_values_are_unknown_if_they_do_not_belong_to_the_joints():
+    for values in (NodeStatus.limits, NodeStatus.unscaled_limits, NodeStatus.measured_scale):
+        assert values(NodeStatus(LOOP, model=MODEL)) == {}
+    assert NodeStatus(LOOP, efforts=EFFORTS).limits() == {}
+    assert NodeStatus(LOOP, efforts=EFFORTS).measured_scale() == {}
+    other = ModelStatus(joints=('hip', 'knee', 'ankle'))
+    assert NodeStatus(LOOP, efforts=EFFORTS, model=other).limits() == {}
+    assert NodeStatus(LOOP, efforts=EffortsStatus(), model=MODEL).measured_scale() == {}
+
+
+def test_problems_are_the_parts_that_are_not_ok_errors_first():
+    status = NodeStatus(
+        LOOP,
+        messages=MessagesStatus(Level.WARN, 'one dropped'),
+        joint_states=JointStatesStatus(Level.ERROR, 'none'),
+        efforts=EFFORTS,
+        model=ModelStatus(Level.WARN, '3 warnings'),
+    )
+    assert status.problems() == (
+        Problem('joint states', 'ERROR', 'none'),
+        Problem('messages', 'WARN', 'one dropped'),
+        Problem('model', 'WARN', '3 warnings'),
+    )
+    assert NodeStatus(LOOP, model=MODEL).problems() == ()
 
 
 def test_values_that_cannot_be_read_are_left_out():
@@ -177,7 +168,7 @@ def test_values_that_cannot_be_read_are_left_out():
             },
         ),
         (
-            status.EffortsStatus,
+            EffortsStatus,
             {'limits': (87.0, math.inf), 'cut_counts': {'elbow': 3}, 'slowed_counts': {'hip': 2}},
             {
                 'topic with names': '',
@@ -191,7 +182,7 @@ def test_values_that_cannot_be_read_are_left_out():
             },
         ),
         (
-            status.SchedulingStatus,
+            SchedulingStatus,
             {'policy': 'SCHED_FIFO', 'priority': 40},
             {
                 'policy': 'SCHED_FIFO',
