@@ -40,38 +40,6 @@ def test_python_page_prints_the_output_below_each_example(monkeypatch):
     assert total == pytest.approx(names['dynamics'].efforts(q, qd, qdd))
 
 
-def test_parameter_table_is_the_parameters_of_the_node():
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    pytest.importorskip('rclpy')
-    from inverse_dynamics_node.node.parameters import PARAMETERS
-
-    table = INTERFACE.split('## Parameters')[1].split('\n## ')[0]
-    rows = re.findall(r'^\| `(\w+)`(\*?) \| ([^|]*) \| [^|]*\| (yes|no) \|', table, re.M)
-    assert [name for name, *_ in rows] == list(PARAMETERS)
-    words = {'empty': '', 'all': [''], 'true': True, 'false': False}
-    for name, star, text, live in rows:
-        if PARAMETERS[name].default_note:
-            assert text == PARAMETERS[name].default_note
-        else:
-            default = words[text] if text in words else eval(text)
-            assert default == PARAMETERS[name].default, name
-        assert (star == '*') == PARAMETERS[name].is_per_joint, name
-        assert (live == 'yes') == PARAMETERS[name].is_live, name
-
-
-def test_frames_of_the_parameter_table_are_those_of_the_node():
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    from inverse_dynamics_node.node.parameters import PARAMETERS
-
-    frame = r'frame of the (\w+ link)'
-    found = 0
-    for name, parameter in PARAMETERS.items():
-        row = re.search(rf'^\| `{name}`.*', INTERFACE, re.M)[0]
-        assert re.findall(frame, row) == re.findall(frame, parameter.description), name
-        found += len(re.findall(frame, row))
-    assert found
-
-
 def test_names_in_the_table_of_tasks_are_in_the_rest_of_the_page():
     tasks, rest = INTERFACE.split('| you want to |')[1].split('\n\n', 1)
     names = re.findall(r'`~/([\w/]+)', tasks) + re.findall(r'`(\w+)`', tasks)

@@ -11,7 +11,7 @@ from inverse_dynamics_node.errors import TrajectoryError
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
-from robot_files import ROOT, STANFORD
+from robot_files import STANFORD
 
 ARM = InverseDynamics(load_urdf(STANFORD))
 
@@ -109,22 +109,3 @@ def test_refining_does_not_change_a_fine_trajectory():
     assert refine(one, 0.01)[1].tolist() == [0]
     with pytest.raises(TrajectoryError, match='lacks velocities or accelerations'):
         refine(trajectory._replace(accelerations=None), 0.01)
-
-
-def test_requirements_of_a_pendulum_match_a_manual_calculation():
-    robot = load_urdf(ROOT / 'test' / 'robots' / 'pendulum.urdf')
-    times = np.linspace(0.0, 1.0, 101)
-    turning = Trajectory(
-        robot.joint_names,
-        times,
-        2.0 * np.pi * times[:, np.newaxis],
-        np.full((101, 1), 2.0 * np.pi),
-        np.zeros((101, 1)),
-    )
-    requirements = effort_requirements(InverseDynamics(robot), turning)
-    level = robot.mass[1] * np.linalg.norm(robot.com[1]) * 9.80665
-    # One turn at constant speed: a sinusoidal effort, equal supplied and absorbed power.
-    assert np.abs(requirements.peak) == pytest.approx([level], rel=1e-3)
-    assert requirements.rms == pytest.approx([level / np.sqrt(2.0)])
-    assert requirements.power == pytest.approx(requirements.braking, rel=1e-3)
-    assert requirements.power == pytest.approx([2.0 * np.pi * level], rel=1e-3)
