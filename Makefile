@@ -30,7 +30,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak network-faults \
+.PHONY: demo test test-all test-oldest lint bench bench-loop storm soak network-faults \
     mutation parameters pictures doc release clean
 
 demo: $(VENV)/demo.done
@@ -43,23 +43,18 @@ TESTS := $(CLEAN) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST)
 LIBRARY := --numprocesses 2 test/unit test/property test/parity test/cli \
     test/test_architecture.py test/test_markdown.py test/test_release.py
 NODE := test/integration test/test_readme.py
-# Without numba, the same functions run as plain Python.
-PLAIN := --numprocesses 2 test/unit test/property test/parity
-PLAIN_SAMPLE := --numprocesses 2 test/unit/test_batch.py test/unit/test_controller.py \
-    test/unit/test_dynamics.py test/unit/test_joint_states.py test/parity
 SUMMARY := $(VENV)/summary.txt
 
 # Runs the tests of one stage, $(1), and keeps the last line for the summary.
-stage = @echo '$(1):'; $(2) $(TESTS) --summary '$(SUMMARY)' --stage '$(1)' $(3)
+stage = @echo '$(1):'; $(TESTS) --summary '$(SUMMARY)' --stage '$(1)' $(2)
 
 test: $(VENV)/test.done lint
 ifdef ARGS
 	@$(TESTS) --numprocesses 2 -m 'not long' $(ARGS)
 else
 	@rm -f $(SUMMARY)
-	$(call stage,library,,-m 'not long' $(LIBRARY))
-	$(call stage,sample without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN_SAMPLE))
-	$(call stage,node,,-m 'not long' --numprocesses 6 $(NODE))
+	$(call stage,library,-m 'not long' $(LIBRARY))
+	$(call stage,node,-m 'not long' --numprocesses 6 $(NODE))
 	@cat $(SUMMARY)
 endif
 
@@ -67,25 +62,21 @@ endif
 verdict = @echo '$(1):'; output=$$($(CLEAN) $(BIN)/python $(2)) || { echo "$$output"; exit 1; }; \
     echo "$(1): $$(echo "$$output" | tail -n 1)" >> $(SUMMARY)
 
-# What `make test` runs, and what it leaves out: the long tests, everything without numba, and fuzzing.
+# What `make test` runs, and what it leaves out: the long tests, and fuzzing.
 # The long tests of the node run in real time and compute: two at once would stall each other.
 test-all: $(VENV)/test.done lint
 	@rm -f $(SUMMARY)
-	$(call stage,library,,$(LIBRARY))
-	$(call stage,everything without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN))
-	$(call stage,fuzzing,,--hypothesis-profile long --numprocesses 2 $(FUZZED))
+	$(call stage,library,$(LIBRARY))
+	$(call stage,fuzzing,--hypothesis-profile long --numprocesses 2 $(FUZZED))
 	$(call verdict,random events,test/random_driver.py --events 1000000)
 	$(call verdict,suspensions,test/suspensions.py)
-	$(call stage,node,,-m 'not long' --numprocesses 6 $(NODE))
-	$(call stage,long tests of the node,,-m long --numprocesses 1 $(NODE))
+	$(call stage,node,-m 'not long' --numprocesses 6 $(NODE))
+	$(call stage,long tests of the node,-m long --numprocesses 1 $(NODE))
 	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
 	@cat $(SUMMARY)
 
 FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \
     test/property/test_mode_laws.py test/property/test_laws.py test/property/test_load_laws.py
-
-test-plain: $(VENV)/test.done
-	@NUMBA_DISABLE_JIT=1 $(TESTS) -m 'not long' $(PLAIN)
 
 # One processor compiles for the tests while mypy keeps the other busy.
 lint: $(VENV)/test.done

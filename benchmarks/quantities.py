@@ -1,9 +1,8 @@
 """
 All quantities of this package, each timed relative to Pinocchio's function for the same quantity.
 
-If Pinocchio has no such function, the counterpart is a short sequence of calls. Both libraries are
-timed for one call and for a batch. For one call, this package writes to an existing array. For a
-batch, a Python loop calls Pinocchio and stores all results in one array.
+Both libraries are timed for one call and for a batch. For one call, this package writes to an
+existing array. For a batch, a Python loop calls Pinocchio and stores all results in one array.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from typing import Any, NamedTuple
 
 from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.dynamics.batch import LANES
-from inverse_dynamics_node.dynamics.effort_terms import EffortTerms, JointWrenches
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
@@ -63,7 +61,7 @@ def one_call(quantity: Quantity, robot: Robot) -> list[Contender]:
     """Time one call of this package and of Pinocchio."""
     states = random_states(robot.n)[: quantity.arity]
     method = getattr(InverseDynamics(robot.model), quantity.method)
-    out = np.empty_like(in_one_array(method(*states[:, 0])))
+    out = np.empty_like(method(*states[:, 0]))
     peer = Pinocchio(robot)
     found = quantity.counterpart(peer)
     theirs = peer.states(random_states(robot.n))[: quantity.arity]
@@ -72,7 +70,7 @@ def one_call(quantity: Quantity, robot: Robot) -> list[Contender]:
             OURS,
             rows(*states),
             _our_sweep(method, out, quantity.arity),
-            lambda *state: common(method(*state)),
+            method,
         ),
         contender(
             THEIRS,
@@ -86,7 +84,7 @@ def one_call(quantity: Quantity, robot: Robot) -> list[Contender]:
 def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
     """Time a batch in this package, and a Python loop over Pinocchio's call."""
     method = getattr(InverseDynamics(robot.model), quantity.method)
-    size = in_one_array(method(*np.zeros((quantity.arity, robot.n)))).size
+    size = method(*np.zeros((quantity.arity, robot.n))).size
     count = min(MOST_STATES, max(LANES, MOST_NUMBERS // size))
     states = random_states(robot.n, count)
     peer = Pinocchio(robot)
@@ -94,7 +92,7 @@ def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
     model, data = peer.model, peer.data
     theirs = rows(*peer.states(states)[: quantity.arity])
     states = states[: quantity.arity]
-    out = np.empty_like(in_one_array(method(*states)))
+    out = np.empty_like(method(*states))
     results = np.empty((count, *read(call(model, data, *theirs[0])).shape))
 
     def loop() -> None:
@@ -105,7 +103,7 @@ def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
         whole(
             OURS,
             lambda: method(*states, out=out),
-            lambda: common(method(*states)),
+            lambda: method(*states),
             clock=thread_time,
         ),
         whole(
@@ -115,21 +113,6 @@ def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
             clock=thread_time,
         ),
     ]
-
-
-def in_one_array(result: Any) -> Floats:
-    """Return a result in the form of the `out` array."""
-    if isinstance(result, JointWrenches):
-        return np.concatenate(result, axis=-1)
-    return np.array(result)
-
-
-def common(result: Any) -> Floats:
-    """Return the values of a result that Pinocchio also computes, with the states first."""
-    found = in_one_array(result)
-    if isinstance(result, EffortTerms):
-        return np.moveaxis(found[:3], 0, -2)
-    return found[..., 1:, :] if isinstance(result, JointWrenches) else found
 
 
 def _our_sweep(method: Call, out: Floats, arity: int) -> Callable[[States], None]:
@@ -200,54 +183,6 @@ def _mass_matrix(peer: Pinocchio) -> Counterpart:
     return Counterpart(crba, full, _assign)
 
 
-def _terms(peer: Pinocchio) -> Counterpart:
-    from pinocchio import computeGeneralizedGravity, nonLinearEffects, rnea
-
-    weightless = peer.model.copy()
-    weightless.gravity.setZero()
-    rest = np.zeros(weightless.nv)
-
-    def call(model: Any, data: Any, q: Floats, v: Floats, a: Floats) -> Any:
-        return (
-            rnea(weightless, data, q, rest, a).copy(),  # the next call overwrites it
-            nonLinearEffects(weightless, data, q, v),
-            computeGeneralizedGravity(model, data, q),
-        )
-
-    def store(target: Floats, found: Any) -> None:
-        target[0], target[1], target[2] = found
-
-    return Counterpart(call, lambda found: np.array(found)[:, peer.inverse], store)
-
-
-def _wrenches(peer: Pinocchio) -> Counterpart:
-    from pinocchio import rnea
-
-    def call(model: Any, data: Any, q: Floats, v: Floats, a: Floats) -> Any:
-        rnea(model, data, q, v, a)
-        return data.f
-
-    def store(target: Floats, found: Any) -> None:
-        for k, joint in enumerate(peer.order.tolist(), 1):
-            target[joint] = found[k].vector
-
-    def read(found: Any) -> Floats:
-        return np.array([found[k + 1].vector for k in peer.inverse.tolist()])
-
-    return Counterpart(call, read, store)
-
-
-def _wrenches_in_an_array(peer: Pinocchio) -> Counterpart:
-    call, _, store = _wrenches(peer)
-    wrenches = np.empty((len(peer.order), 6))
-
-    def stored(*arguments: Any) -> Floats:
-        store(wrenches, call(*arguments))
-        return wrenches
-
-    return Counterpart(stored, np.copy, _assign)
-
-
 def _regressor(peer: Pinocchio) -> Counterpart:
     from pinocchio import computeJointTorqueRegressor
 
@@ -263,10 +198,5 @@ QUANTITIES = (
     Quantity('gravity_efforts', '`computeGeneralizedGravity`', 1, _gravity),
     Quantity('coriolis_efforts', '`nonLinearEffects`, no gravity', 2, _coriolis),
     Quantity('mass_matrix', '`crba`', 1, _mass_matrix),
-    Quantity('effort_terms', 'three calls', 3, _terms),
-    Quantity('joint_wrenches', '`rnea`', 3, _wrenches),
-    Quantity('joint_wrenches', '`rnea`, `data.f` copied', 3, _wrenches_in_an_array),
     Quantity('regressor', '`computeJointTorqueRegressor`', 3, _regressor),
 )
-# Batches always store the wrenches.
-BATCHED = tuple(x for x in QUANTITIES if x.label != '`rnea`')

@@ -69,7 +69,7 @@ def quantities_of_one_call(robots: Sequence[Robot], rounds: int) -> Pairs:
 
 def quantities_of_batches(robots: Sequence[Robot], rounds: int) -> Pairs:
     """Time batches of every quantity, relative to a loop over Pinocchio's function."""
-    return _pairs(quantities.BATCHED, quantities.batches, robots, rounds)
+    return _pairs(quantities.QUANTITIES, quantities.batches, robots, rounds)
 
 
 def _pairs(

@@ -19,8 +19,6 @@ def main():
         states = np.zeros((3, *shape))
         for function in (dynamics.efforts, dynamics.joint_wrenches, dynamics.regressor):
             function(*states)
-        dynamics.mass_matrix(states[0])
-        dynamics.effort_terms(*states)
 
 
 if __name__ == '__main__':

@@ -11,54 +11,55 @@ from numpy.typing import ArrayLike
 from ..errors import ConfigurationError, JointStateError, plain
 from ..robot.model import Floats, RobotModel
 from .batch import LANES
-from .jit import IS_COMPILED, OK
+from .jit import OK
 
 Computation = Callable[[Sequence[Floats], Floats], int]
-"""Takes the input arrays and the array for the results; returns a status code."""
+"""Takes the arrays of N states, and the array for N results; returns a status code."""
 
 
 def over_states(
     robot: RobotModel,
     kind: tuple[int, ...],
-    few: Computation,
-    many: Computation | None,
+    one: Callable[..., int],
     out: Floats | None,
+    many: Computation | None = None,
     **arguments: ArrayLike,
 ) -> Floats:
     """
     Compute a quantity for one or more states; return an array of shape (..., *kind).
 
     The ``arguments``, such as ``q``, may have any type that numpy can convert. ``kind`` is the
-    shape of the result for one state. ``few`` computes the quantity for N states of n joints, from
-    arguments of shape (N, n). ``many`` does the same, and replaces ``few`` if N is at least
-    `batch.LANES`. If ``out`` is given, the result is written to ``out``. Wrong shapes and
-    non-finite values raise a JointStateError.
+    shape of the result for one state. ``one`` takes the arrays of one state and the array for the
+    result, and returns a status code. ``many`` replaces ``one`` for at least `batch.LANES` states.
+    If ``out`` is given, the result is written to ``out``. Wrong shapes and non-finite values raise
+    a JointStateError.
 
     """
+    state = tuple(arguments.values())
+    try:
+        if state[0].ndim == 1:  # type: ignore[union-attr]
+            result = np.empty(kind) if out is None else out
+            # After a failure, the code below finds the cause.
+            if one(*state, result) == OK:
+                return result
+    except (AttributeError, TypeError, ValueError):  # lists, integers, views with strides
+        pass
     rows, shape = broadcast(len(robot.joint_names), **arguments)
     shape = (*shape[:-1], *kind)
     if out is not None:
         check_out(out, shape)
     result = np.empty(shape) if out is None or not is_free(out, rows) else out
     flat = result.reshape(len(rows[0]), *kind)
-    is_large = IS_COMPILED and robot.joint_names and len(flat) >= LANES
-    compute = many if many is not None and is_large else few
-    if compute(rows, flat) != OK:
+    if many is not None and robot.joint_names and len(flat) >= LANES:
+        status = many(rows, flat)
+    else:
+        status = max(map(one, *rows, flat), default=OK)
+    if status != OK:
         raise explain(robot.joint_names, **arguments)
     if out is None or result is out:
         return result
     out[...] = result
     return out
-
-
-def one_by_one(one: Computation) -> Computation:
-    """Return a computation that calls ``one`` for each of several states."""
-
-    def few(rows: Sequence[Floats], results: Floats) -> int:
-        states = zip(zip(*rows, strict=True), results, strict=True)
-        return max((one(state, result) for state, result in states), default=OK)
-
-    return few
 
 
 def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:

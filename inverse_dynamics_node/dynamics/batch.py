@@ -10,6 +10,7 @@ and every quantity has its own array.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from .equations import (
     to_link,
     Vector,
 )
-from .jit import compile_for, NOT_FINITE, OK, simd_inline, simd_kernel, simd_step
+from .jit import compile_for, compiled, FAST_MATH, NOT_FINITE, OK, simd_inline, simd_step
 from .link_kinematics import axes_in_base, in_base
 from .newton_euler import joint_friction, own_wrench, spring_effort
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
@@ -48,7 +49,7 @@ from .robot_table import (
     SLIDES,
 )
 
-LANES = 64  # states in a block; fewer states are computed one by one
+LANES = 64  # states in a block
 CACHE_LINE = 8  # numbers in a cache line of the processor
 LARGEST_ANGLE = 1e5  # largest angle for `cosine_and_sine` [rad]
 ROUNDER = 1.5 * 2.0**52  # adding and subtracting this number rounds to an integer
@@ -106,7 +107,7 @@ def _count_pairs(robot: Floats) -> int:
     return sum(depth)
 
 
-@simd_kernel
+@partial(compiled, fastmath=FAST_MATH, nogil=True)
 def _blocks(
     all_q: Any,
     all_qd: Any,

@@ -21,19 +21,9 @@ from . import (
     regressor,
     robot_table,
 )
-from .arguments import (
-    broadcast,
-    check_out,
-    explain,
-    is_free,
-    one_by_one,
-    over_states,
-    read_inertial,
-    read_joints,
-    read_vector,
-)
+from .arguments import check_out, over_states, read_inertial, read_joints, read_vector
 from .effort_terms import EffortTerms, JointWrenches
-from .jit import prepared
+from .jit import arrays, compile_for
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Standard gravity of ISO 80000-3, in a base frame with z upwards [m/s^2]."""
@@ -66,8 +56,6 @@ class InverseDynamics:
     ----------
     robot : RobotModel
         The robot without loads.
-    revision : int
-        Counter that increases with every call of a setter.
 
     Notes
     -----
@@ -83,7 +71,6 @@ class InverseDynamics:
 
     def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
         self.robot = robot
-        self.revision = 0
         self._table = robot_table.table_of(robot)
         self._R_ZL = robot_table.rotations_to_z(robot)
         self._R_LZ = np.ascontiguousarray(self._R_ZL.transpose(0, 2, 1)).reshape(-1, 9)
@@ -92,16 +79,11 @@ class InverseDynamics:
         self._payloads: dict[str, RigidBody] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
         self.set_gravity(gravity)
-        self._inverse_dynamics = prepared(newton_euler.inverse_dynamics, 1, 1, 1, 1, 2)
-        self._batch = prepared(newton_euler.inverse_dynamics_batch, 2, 2, 2, 2, 2)
-        self._gravity_efforts = prepared(newton_euler.gravity_efforts, 1, 1, 2)
-        self._mass_matrix = prepared(mass_matrix.mass_matrix, 1, 2, 2)
-        self._effort_terms = prepared(effort_terms.effort_terms, 1, 1, 1, 2, 2, 2, 2, 2, 2, 2)
-        self._joint_wrenches = prepared(effort_terms.joint_wrenches, 1, 1, 1, 1, 2, 2, 2)
+        self._inverse_dynamics = compile_for(newton_euler.inverse_dynamics, arrays(1, 1, 1, 1, 2))
+        self._gravity_efforts = compile_for(newton_euler.gravity_efforts, arrays(1, 1, 2))
+        self._mass_matrix = compile_for(mass_matrix.mass_matrix, arrays(1, 2, 2))
         n = len(robot.joint_names)
-        self._zeros, self._tau, self._state = np.zeros(n), np.empty(n), np.zeros((4, n))
-        self._regressor_shape = n, 10 * (len(robot.parent) - 1)
-        self._terms = self.revision, effort_terms.term_tables(self._table)
+        self._zeros, self._tau = np.zeros(n), np.empty(n)
         self._links: dict[str, Floats] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -113,7 +95,6 @@ class InverseDynamics:
         self._table[...], self._base_motion, payloads, wrenches = loads
         self._is_rotating = bool(self._base_motion[:2].any())
         self._payloads, self._wrenches = payloads.copy(), wrenches.copy()
-        self.revision += 1
 
     @property
     def gravity(self) -> Floats:
@@ -231,7 +212,9 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        _, table, _, _ = self._term_tables()
+        table = self._table.copy()
+        table[:, robot_table.LOAD_COLUMNS] = 0.0
+        table[0, robot_table.BASE_ACCELERATION_COLUMNS] = 0.0
         if not self._is_rotating:
             return self._efforts_in(table, q, qd, self._zeros, out)
         # Computed first, because `out` may be q.
@@ -274,12 +257,11 @@ class InverseDynamics:
                     return matrix
         except (AttributeError, TypeError, ValueError):
             pass
-        few = one_by_one(lambda state, out: self._mass_matrix(*state, out, self._table))
 
-        def many(states: Sequence[Floats], out: Floats) -> int:
-            return prepared(mass_matrix.mass_matrix_batch, 2, 3, 2)(*states, out, self._table)
+        def one(q: Floats, matrix: Floats) -> int:
+            return self._mass_matrix(q, matrix, self._table)
 
-        return over_states(self.robot, 2 * self._zeros.shape, few, many, out, q=q)
+        return over_states(self.robot, 2 * self._zeros.shape, one, out, q=q)
 
     def effort_terms(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -306,23 +288,22 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        try:
-            if q.ndim == 1:  # type: ignore[union-attr]
-                found = np.empty((5, len(self._zeros))) if out is None else out
-                return self._terms_of_state(q, qd, qdd, found)
-        except (AttributeError, TypeError, ValueError):
-            pass
-        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
-        if out is not None:
-            check_out(out, (5, *shape))
-        found = np.empty((5, *shape)) if out is None or not is_free(out, rows) else out
-        if len(shape) == 1:
-            self._terms_of_state(rows[0][0], rows[1][0], rows[2][0], found)
-        else:
-            self._terms_of_many(rows[0], rows[1], rows[2], found.reshape(5, *rows[0].shape))
-        if out is None or found is out:
-            return EffortTerms(*found)
-        out[...] = found
+        total, rest = self.efforts(q, qd, qdd), self._zeros
+        table = self._table.copy()
+        table[:, robot_table.FRICTION_COLUMNS] = 0.0
+        driven = self._efforts_in(table, q, qd, qdd)
+        coasting = self._efforts_in(table, q, qd, rest)
+        resting = self._efforts_in(table, q, rest, rest)
+        table[:, robot_table.EXTERNAL_COLUMNS] = 0.0
+        gravity = self._efforts_in(table, q, rest, rest)
+        terms = EffortTerms(
+            driven - coasting, coasting - resting, gravity, total - driven, resting - gravity
+        )
+        if out is None:
+            out = np.empty((5, *total.shape))
+        check_out(out, (5, *total.shape))
+        for target, term in zip(out, terms, strict=True):
+            target[...] = term
         return EffortTerms(*out)
 
     def joint_wrenches(
@@ -356,24 +337,12 @@ class InverseDynamics:
         prismatic joint, the force along the axis equals the joint effort.
 
         """
+
+        def one(q: Floats, qd: Floats, qdd: Floats, wrenches: Floats) -> int:
+            return self._joint_wrenches(q, qd, qdd, self._tau, self._R_LZ, wrenches, self._table)
+
         shape = (len(self._R_LZ), 6)
-        try:
-            if q.ndim == 1:  # type: ignore[union-attr]
-                wrenches = np.empty(shape) if out is None else out
-                arguments = (q, qd, qdd, self._tau, self._R_LZ, wrenches, self._table)
-                if not self._joint_wrenches(*arguments):
-                    return JointWrenches(wrenches[:, :3], wrenches[:, 3:])
-        except (AttributeError, TypeError, ValueError):
-            pass
-
-        def one(state: Sequence[Floats], out: Floats) -> int:
-            return self._joint_wrenches(*state, self._tau, self._R_LZ, out, self._table)
-
-        def many(states: Sequence[Floats], out: Floats) -> int:
-            compute = prepared(effort_terms.joint_wrenches_batch, 2, 2, 2, 1, 2, 3, 2)
-            return compute(*states, self._tau, self._R_LZ, out, self._table)
-
-        wrenches = over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
+        wrenches = over_states(self.robot, shape, one, out, q=q, qd=qd, qdd=qdd)
         return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
 
     def pose(self, q: ArrayLike, link: str, out: Floats | None = None) -> Floats:
@@ -492,21 +461,15 @@ class InverseDynamics:
         The first call on a machine takes longer, because code is compiled and cached on disk.
 
         """
-        shape = self._regressor_shape
-        try:
-            if q.ndim == 1:  # type: ignore[union-attr]
-                matrix = np.empty(shape) if out is None else out
-                if not self._regressor(q, qd, qdd, self._R_LZ, matrix, self._table):
-                    return matrix
-        except (AttributeError, TypeError, ValueError):
-            pass
-        one = self._regressor
-        few = one_by_one(lambda state, out: one(*state, self._R_LZ, out, self._table))
 
-        def many(states: Sequence[Floats], out: Floats) -> int:
-            return batch.regressor_many(states, out, self._R_LZ, self._table)
+        def one(q: Floats, qd: Floats, qdd: Floats, matrix: Floats) -> int:
+            return self._regressor(q, qd, qdd, self._R_LZ, matrix, self._table)
 
-        return over_states(self.robot, shape, few, many, out, q=q, qd=qd, qdd=qdd)
+        def many(states: Sequence[Floats], matrices: Floats) -> int:
+            return batch.regressor_many(states, matrices, self._R_LZ, self._table)
+
+        shape = len(self._zeros), 10 * (len(self.robot.parent) - 1)
+        return over_states(self.robot, shape, one, out, many, q=q, qd=qd, qdd=qdd)
 
     def inertial_parameters(self) -> Floats:
         """
@@ -609,7 +572,6 @@ class InverseDynamics:
             self._payloads[link] = payload.shift(self.robot.link_position[k])
         body = int(self.robot.link_body[k])
         robot_table.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
-        self.revision += 1
 
     def set_external_wrench(
         self,
@@ -640,7 +602,6 @@ class InverseDynamics:
         body = int(self.robot.link_body[k])
         wrenches = self._on_body(self._wrenches, body)
         robot_table.write_external(self._table[body], self._R_ZL[body], wrenches)
-        self.revision += 1
 
     def set_friction(
         self,
@@ -699,7 +660,6 @@ class InverseDynamics:
         per_root = read_joints('sqrt_damping', sqrt_damping, n)
         # A failing call changes nothing, because all arguments have been checked before.
         robot_table.write_friction(self._table, damping, coulomb, speeds, per_load, per_root)
-        self.revision += 1
 
     def set_armature(self, armature: ArrayLike) -> None:
         """
@@ -718,7 +678,6 @@ class InverseDynamics:
         """
         values = read_joints('armature', armature, len(self.robot.joint_names))
         robot_table.write_joints(self._table, robot_table.ARMATURE, values)
-        self.revision += 1
 
     def set_drive_coupling(self, coupling: ArrayLike) -> None:
         r"""
@@ -743,7 +702,6 @@ class InverseDynamics:
         """
         values = self.checked_coupling(coupling)
         robot_table.write_joints(self._table, robot_table.COUPLING, values)
-        self.revision += 1
 
     def checked_coupling(self, coupling: ArrayLike) -> Floats:
         """Check couplings as in `set_drive_coupling`; return an array of shape (n,)."""
@@ -781,7 +739,6 @@ class InverseDynamics:
         preload = -values * read_joints('rest', rest, n, is_signed=True)
         robot_table.write_joints(self._table, robot_table.STIFFNESS, values)
         robot_table.write_joints(self._table, robot_table.PRELOAD, preload)
-        self.revision += 1
 
     def _efforts_in(
         self,
@@ -792,21 +749,14 @@ class InverseDynamics:
         out: Floats | None = None,
     ) -> Floats:
         """Compute the efforts from a given table."""
-        try:
-            if q.ndim == 1:  # type: ignore[union-attr]
-                tau = np.empty_like(self._zeros) if out is None else out
-                if not self._inverse_dynamics(q, qd, qdd, tau, table):
-                    return tau
-        except (AttributeError, TypeError, ValueError):
-            pass
 
-        def few(states: Sequence[Floats], out: Floats) -> int:
-            return self._batch(*states, out, table)
+        def one(q: Floats, qd: Floats, qdd: Floats, tau: Floats) -> int:
+            return self._inverse_dynamics(q, qd, qdd, tau, table)
 
-        def many(states: Sequence[Floats], out: Floats) -> int:
-            return batch.inverse_dynamics_many(states, out, table)
+        def many(states: Sequence[Floats], tau: Floats) -> int:
+            return batch.inverse_dynamics_many(states, tau, table)
 
-        return over_states(self.robot, self._zeros.shape, few, many, out, q=q, qd=qd, qdd=qdd)
+        return over_states(self.robot, self._zeros.shape, one, out, many, q=q, qd=qd, qdd=qdd)
 
     def _of_link(
         self,
@@ -820,42 +770,11 @@ class InverseDynamics:
         if link not in self._links:
             self._links[link] = link_kinematics.row_of_link(self.robot, self._R_ZL, link)
         row = self._links[link]
-        try:
-            if q.ndim == 1:  # type: ignore[union-attr]
-                matrix = np.empty(shape) if out is None else out
-                if not compute(q, row, matrix, self._table):
-                    return matrix
-        except (AttributeError, TypeError, ValueError):
-            pass
-        few = one_by_one(lambda state, out: compute(*state, row, out, self._table))
-        return over_states(self.robot, shape, few, None, out, q=q)
 
-    def _terms_of_state(self, q: Any, qd: Any, qdd: Any, out: Floats) -> EffortTerms:
-        """Compute all terms of one state in one compiled call."""
-        tables = self._term_tables()
-        if self._effort_terms(q, qd, qdd, self._state, *tables, out, self._table):
-            check_out(out, (5, len(self._zeros)))
-            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
-        return EffortTerms(*out)
+        def one(q: Floats, matrix: Floats) -> int:
+            return compute(q, row, matrix, self._table)
 
-    def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
-        """Compute the terms of many states."""
-        zeros, terms = np.zeros(q.shape), EffortTerms(*out)
-        inertial, _, gravity, external = self._term_tables()
-        self._efforts_in(inertial, q, zeros, qdd, terms.inertial)
-        self.coriolis_efforts(q, qd, terms.coriolis)
-        self._efforts_in(gravity, q, zeros, zeros, terms.gravity)
-        self._efforts_in(external, q, zeros, zeros, terms.external)
-        if prepared(effort_terms.friction_batch, 2, 2, 3, 2)(qd, qdd, out, self._table):
-            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
-
-    def _term_tables(self) -> list[Floats]:
-        """Return the tables for `effort_terms`, rebuilt if the loads have changed."""
-        revision, tables = self._terms
-        if revision != self.revision:
-            tables = effort_terms.term_tables(self._table)
-            self._terms = self.revision, tables
-        return tables
+        return over_states(self.robot, shape, one, out, q=q)
 
     def _rigid_body(self, body: int) -> RigidBody:
         """Combine a body with its payloads."""
@@ -865,7 +784,6 @@ class InverseDynamics:
 
     def _write_base(self) -> None:
         robot_table.write_base(self._table[0], self._base_motion, self._gravity)
-        self.revision += 1
 
     def _on_body(self, loads: dict[str, Any], body: int) -> Sequence[Any]:
         robot = self.robot
@@ -878,12 +796,16 @@ class InverseDynamics:
     @cached_property
     def _regressor(self) -> Callable[..., int]:
         """The regressor function, compiled at first use because few programs need a regressor."""
-        return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
+        return compile_for(regressor.regressor, arrays(1, 1, 1, 2, 2, 2))
+
+    @cached_property
+    def _joint_wrenches(self) -> Callable[..., int]:
+        return compile_for(effort_terms.joint_wrenches, arrays(1, 1, 1, 1, 2, 2, 2))
 
     @cached_property
     def _pose(self) -> Callable[..., int]:
-        return prepared(link_kinematics.pose, 1, 1, 2, 2)
+        return compile_for(link_kinematics.pose, arrays(1, 1, 2, 2))
 
     @cached_property
     def _jacobian(self) -> Callable[..., int]:
-        return prepared(link_kinematics.jacobian, 1, 1, 2, 2)
+        return compile_for(link_kinematics.jacobian, arrays(1, 1, 2, 2))

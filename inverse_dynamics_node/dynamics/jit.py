@@ -1,4 +1,4 @@
-"""Optional compilation with numba; a cache that fails causes a warning, but no error."""
+"""Compilation with numba; a cache that fails causes a warning, but no error."""
 
 from __future__ import annotations
 
@@ -9,14 +9,10 @@ import threading
 from typing import Any, cast, TypeVar
 import warnings
 
-try:
-    import numba
-except ImportError:
-    numba = None
+import numba
 
-import numpy as np
-
-IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
+IS_COMPILED: bool = not numba.config.DISABLE_JIT
+"""False for debugging with ``NUMBA_DISABLE_JIT=1``; all functions are then plain Python."""
 
 # Return values of the compiled functions
 OK = 0
@@ -29,103 +25,63 @@ FAST_MATH = {'contract', 'nsz', 'arcp'}
 
 Function = TypeVar('Function', bound=Callable[..., Any])
 
-_cached: list[Any] = []
 _ready: set[Any] = set()
 _compiling = threading.Lock()
 _has_warned = False
 
 
 def compiled(function: Function, **options: Any) -> Function:
-    """Prepare a function for `compile_for`, which then caches the compiled code on disk."""
-    if not IS_COMPILED:
-        return function
-    try:
-        dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
-    except RuntimeError as error:
-        # No cache directory is writable, for example in a service without a home directory.
-        _warn(error)
-        dispatcher = numba.njit(error_model='numpy', **options)(function)
-    else:
-        # numba discards cached code only if the file of the function has changed. The stamp of the
-        # folder also covers the inlined functions of other files. numba has no public function
-        # that replaces a stamp.
-        folder = Path(function.__code__.co_filename).parent
-        dispatcher._cache._cache_file._source_stamp = _stamp(folder)
-        _cached.append(dispatcher)
-    return cast(Function, dispatcher)
+    """Prepare a function for `compile_for`, or for calls from another compiled function."""
+    return cast(Function, numba.njit(error_model='numpy', **options)(function))
 
 
-def simd_kernel(function: Function) -> Function:
-    """Prepare a function for `compile_for`; compiled code releases the interpreter lock."""
-    return compiled(function, fastmath=FAST_MATH, nogil=True)
-
-
-def simd_step(function: Function, **options: bool) -> Function:
-    """Prepare a function that loops over SIMD lanes and is called from a `simd_kernel`."""
-    if not IS_COMPILED:
-        return function
-    prepare = numba.njit(error_model='numpy', fastmath=FAST_MATH, **options)
-    return cast(Function, prepare(function))
+def simd_step(function: Function) -> Function:
+    """Prepare a function that loops over SIMD lanes."""
+    return compiled(function, fastmath=FAST_MATH)
 
 
 def simd_inline(function: Function) -> Function:
     """Prepare a function for inlining, because a loop that calls functions is not vectorised."""
-    return simd_step(function, forceinline=True)
+    return compiled(function, fastmath=FAST_MATH, forceinline=True)
 
 
-def compile_for(function: Any, *signatures: str) -> None:
-    """Compile a function for the given signatures; calls with other types raise a TypeError."""
+def arrays(*dimensions: int) -> str:
+    """Return the signature of contiguous float64 arrays with these numbers of dimensions."""
+    return '(' + ', '.join(f'f8[{":, " * (count - 1)}::1]' for count in dimensions) + ')'
+
+
+def compile_for(function: Any, *signatures: str) -> Callable[..., int]:
+    """
+    Compile a function for the given signatures, and cache the compiled code on disk.
+
+    Calls with other types then raise a TypeError. The result is the function.
+
+    """
+    run: Callable[..., int] = function
     if not IS_COMPILED or function in _ready:
-        return
+        return run
     with _compiling:
         if function in _ready:  # another thread has compiled the function meanwhile
-            return
-        for signature in signatures:
-            try:
+            return run
+        try:
+            function.enable_caching()
+            # numba discards cached code only if the file of the function has changed. The stamp of
+            # the folder also covers the inlined functions of other files. numba has no public
+            # function that replaces a stamp.
+            folder = Path(function.py_func.__code__.co_filename).parent
+            function._cache._cache_file._source_stamp = _stamp(folder)
+            for signature in signatures:
                 function.compile(signature)
-            except Exception as error:
-                # The disk may be full, or a power failure may have left incomplete files.
-                _warn(error)
-                # numba has no public function that disables a cache.
-                for dispatcher in _cached:
-                    dispatcher._cache = numba.core.caching.NullCache()
+        except Exception as error:
+            # No cache directory is writable, for example in a service without a home directory.
+            # Or the disk is full, or a power failure has left incomplete files.
+            _warn(error)
+            function._cache = numba.core.caching.NullCache()
+            for signature in signatures:
                 function.compile(signature)
         function.disable_compile()
         _ready.add(function)
-
-
-def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., int]:
-    """
-    Compile a function for contiguous float64 arrays.
-
-    Without numba, the function runs on lists of floats. The second-to-last argument of the
-    function receives the results, and the last argument is a table in the layout of
-    `robot_table`. The function returns a status code such as `OK`. ``dimensions`` contains the
-    number of dimensions of each argument. Arguments of other types or dimensions raise a
-    TypeError.
-
-    """
-    if IS_COMPILED:
-        kinds = ', '.join(f'f8[{":, " * (count - 1)}::1]' for count in dimensions)
-        compile_for(function, f'({kinds})')
-        return function
-
-    def on_lists(*arguments: Any) -> int:
-        for values, dimension in zip(arguments, dimensions, strict=True):
-            if not isinstance(values, np.ndarray) or values.ndim != dimension:
-                raise TypeError
-            if values.dtype != np.float64:
-                raise TypeError
-        lists = [values.tolist() for values in arguments]
-        try:
-            status = function(*lists)
-        except ValueError:  # raised by math.sin(inf)
-            return NOT_FINITE
-        if arguments[-2].size:
-            arguments[-2][...] = lists[-2]
-        return status
-
-    return on_lists
+    return run
 
 
 @cache

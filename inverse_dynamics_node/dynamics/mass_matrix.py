@@ -102,16 +102,6 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
 
 
 @compiled
-def mass_matrix_batch(q: Any, matrices: Any, robot: Any) -> int:
-    """Call `mass_matrix` for every row of q; return the status of the first failure, or `OK`."""
-    for k in range(len(q)):
-        status = mass_matrix(q[k], matrices[k], robot)
-        if status != OK:
-            return status
-    return OK
-
-
-@compiled
 def check_diagonal(matrix: Any) -> int:
     """
     Return `NOT_FINITE` if an entry of the matrix is not finite, otherwise `OK`.

@@ -1,9 +1,7 @@
 """
 The two passes of Luh, Walker and Paul for one state.
 
-The functions are compiled if numba is installed. Otherwise, the functions run as Python code. The
-robot is a table in the layout of `robot_table`: an array for numba, and a list of lists for
-Python.
+The robot is a table in the layout of `robot_table`.
 """
 
 from __future__ import annotations
@@ -102,16 +100,6 @@ def inverse_dynamics(
     if has_drive_terms:
         drive_terms(tau, robot)
     return check(tau)
-
-
-@compiled
-def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> int:
-    """Call `inverse_dynamics` for every state; return the status of the first failure, or `OK`."""
-    for k in range(len(tau)):
-        status = inverse_dynamics(q[k], qd[k], qdd[k], tau[k], robot)
-        if status != OK:
-            return status
-    return OK
 
 
 @simd_inline

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..errors import shortened, TrajectoryError, unknown_name
 from ..robot.model import Floats, Integers
-from .batch import LANES
 from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
@@ -114,12 +113,9 @@ def trajectory_efforts(
 
     """
     states, index = whole_states(dynamics, trajectory, others)
-    tau = np.empty_like(states[0])
-    # Batches stay small, because the first large batch would compile code for seconds.
-    for start in range(0, len(tau), LANES - 1):
-        q, qd, qdd = (values[start : start + LANES - 1] for values in states)
-        tau[start : start + LANES - 1] = dynamics.efforts(q, qd, qdd)
-    efforts: Floats = tau[:, index]
+    # One state at a time, because the first large batch on a machine compiles code for seconds.
+    tau = [dynamics.efforts(*state) for state in zip(*states, strict=True)]
+    efforts: Floats = np.reshape(tau, states[0].shape)[:, index]
     return efforts
 
 

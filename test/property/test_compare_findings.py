@@ -5,7 +5,6 @@ import math
 
 from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.analysis.diagnosis import diagnose_recording, friction_parameters
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.report.compare_report import (
     comparison_table,
     friction_table,
@@ -18,9 +17,6 @@ import pytest
 from runs import EVERY_ROBOT, LONG, run, samples_of
 from scipy.signal import butter, sosfiltfilt
 import yaml
-
-# Without compiled functions these tests take an hour.
-pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 
 def kinds(result):

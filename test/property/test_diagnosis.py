@@ -13,16 +13,12 @@ from inverse_dynamics_node.analysis.diagnosis import (
 )
 from inverse_dynamics_node.analysis.diagnosis.loads import tip_links
 from inverse_dynamics_node.analysis.recordings.signals import derive, Recording
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.errors import ConfigurationError, RecordingError
 from inverse_dynamics_node.report.diagnosis_text import headline
 import numpy as np
 import pytest
 from robot_files import ROOT
 from runs import CHAIN_AND_TREE, EVERY_ROBOT, exciting, LONG, ROBOTS, run, samples_of
-
-# Without compiled functions these tests take an hour.
-pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 TIP = {'stanford': 'tool0', 'seven_dof': 'tool0', 'branched': 'right_forearm'}
 GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'

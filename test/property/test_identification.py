@@ -31,7 +31,6 @@ from inverse_dynamics_node.analysis.identification.result import (
 )
 from inverse_dynamics_node.analysis.recordings.signals import Motion
 from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.node.configure import make_loop
 from inverse_dynamics_node.node.parameters import Configuration, PARAMETERS
 from inverse_dynamics_node.robot.rigid_body import RigidBody
@@ -39,9 +38,6 @@ import numpy as np
 import pytest
 from robot_files import STANFORD
 import yaml
-
-# Without compiled functions these tests take minutes.
-pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 
 @pytest.fixture(scope='module')

@@ -1,21 +1,13 @@
 """Laws of loads on random trees: payloads, wrenches, friction, moving bases."""
 
-import json
-import os
-import subprocess
-import sys
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.dynamics.robot_table import joints_before
 from kinematics import assert_close, derivative, link_inertia, rotation_of_rpy, Tree
-from loads import apply, everything, random_loads, samples, some_links, without_any
+from loads import apply, everything, random_loads, some_links, without_any
 import numpy as np
-import pytest
 from random_trees import random_chain, random_link, robots_with_states, urdf_of
-from robot_files import ROOT
 
 GRAVITY = np.array([0.6, -1.5, -9.0])
 seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
@@ -442,7 +434,7 @@ def test_cleared_loads_have_no_effect(case, rng):
         assert (actual[name] == values).all(), name
 
 
-# One state, many states, and Python without a compiler
+# One state and many states
 
 
 @given(robots_with_states(vectors=12), seeds)
@@ -458,36 +450,3 @@ def test_batches_with_loads_agree_with_single_states(case, rng):
         assert_same({name: values[index] for name, values in batch.items()}, single, 1e-12)
     still = dynamics.effort_terms(q, np.zeros(len(robot.joint_names)), qdd[0, 0])
     assert still.inertial.shape == still.coriolis.shape == q.shape
-
-
-PRINT_SAMPLES = """
-import json
-from inverse_dynamics_node.dynamics import jit
-from loads import samples
-
-print(json.dumps([jit.IS_COMPILED, samples()]))
-"""
-
-
-def run_without_numba():
-    path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
-    result = subprocess.run(
-        [sys.executable, '-c', PRINT_SAMPLES],
-        env={**os.environ, 'PYTHONPATH': path, 'NUMBA_DISABLE_JIT': '1'},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert result.returncode == 0, result.stderr
-    return json.loads(result.stdout)
-
-
-@pytest.mark.skipif(not IS_COMPILED, reason='numba is not in use')
-@pytest.mark.long
-def test_plain_python_gives_the_same_with_loads():
-    expected = samples()
-    is_compiled, actual = run_without_numba()
-    assert not is_compiled
-    for ours, theirs in zip(actual, expected, strict=True):
-        for name, values in theirs.items():
-            assert_close(np.array(ours[name]), np.array(values), 1e-12)

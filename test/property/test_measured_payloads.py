@@ -3,15 +3,11 @@
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.analysis.payload import measure_payload
 from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.errors import RecordingError
 import numpy as np
 from payload_runs import Arm, motion_of, poses_of, random_load
 import pytest
 from robot_files import ROOT, STANFORD
-
-# Without compiled functions these tests take minutes.
-pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 ROBOTS = ROOT / 'test' / 'robots'
 SEVEN_DOF = load_urdf(ROBOTS / 'seven_dof.urdf')

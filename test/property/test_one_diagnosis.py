@@ -17,7 +17,6 @@ from inverse_dynamics_node.analysis.diagnosis.live import (
     Outcome,
 )
 from inverse_dynamics_node.analysis.recordings.signals import Recording
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.report.agreement_text import sentence
 from inverse_dynamics_node.report.compare_report import verdict
 from inverse_dynamics_node.report.diagnosis_text import headline
@@ -25,9 +24,6 @@ import numpy as np
 import pytest
 from robot_files import real_robots
 from runs import exciting, ROBOTS
-
-# Without compiled functions these tests take minutes.
-pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 SEED = 1979
 LONG = pytest.mark.long

@@ -1,12 +1,9 @@
 """Commands keep their promises whatever happens; `python test/random_driver.py` plays more."""
 
-import os
-
 import pytest
 from random_driver import play
 
-# Without numba everything takes several times as long.
-SEQUENCES = 40 if os.environ.get('NUMBA_DISABLE_JIT') == '1' else 100
+SEQUENCES = 100
 
 
 @pytest.mark.parametrize('part', range(4))

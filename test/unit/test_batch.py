@@ -1,9 +1,8 @@
 """Batches of any size, and with invalid values."""
 
 from inverse_dynamics_node import JointStateError, load_urdf
-from inverse_dynamics_node.dynamics import batch
 from inverse_dynamics_node.dynamics.batch import cosine_and_sine
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED, OK, simd_step
+from inverse_dynamics_node.dynamics.jit import simd_step
 from loads import loaded_chain, loaded_dynamics
 import numpy as np
 from numpy.testing import assert_allclose
@@ -48,7 +47,6 @@ def assert_batch_agrees(dynamics, states):
     ids=['small', 'large', 'beside zeros', 'zeros', 'eighths', 'tiny', 'ends'],
 )
 def test_cosines_and_sines_are_accurate_to_two_units_in_the_last_place(x):
-    x = x if IS_COMPILED else x[::100]
     actual = np.empty((2, len(x)))
     cosines_and_sines(x, *actual)
     for function, values in zip((np.cos, np.sin), actual, strict=True):
@@ -126,13 +124,3 @@ def test_batches_of_several_dimensions(rng):
     efforts = dynamics.efforts(*states)
     assert efforts.shape == (7, 11, 5)
     assert (efforts == dynamics.efforts(*states.reshape(3, 77, 5)).reshape(7, 11, 5)).all()
-
-
-@pytest.mark.skipif(IS_COMPILED, reason='numba is in use')
-def test_blocks_run_as_plain_python(rng):
-    """Without numba, the methods of `InverseDynamics` compute one state after the other."""
-    dynamics = loaded_chain(*BASE_ROTATION)
-    states = rng.uniform(-3.0, 3.0, (3, 70, 5))
-    tau, expected = np.full((70, 5), np.nan), dynamics.efforts(*states)
-    assert batch.inverse_dynamics_many(states, tau, dynamics.table) == OK
-    assert_allclose(tau, expected, rtol=0, atol=1e-12 * np.abs(expected).max())

@@ -4,9 +4,8 @@ from concurrent.futures import ThreadPoolExecutor
 import threading
 
 from inverse_dynamics_node.dynamics import jit
+from numba.core.caching import FunctionCache
 import pytest
-
-needs_numba = pytest.mark.skipif(not jit.IS_COMPILED, reason='numba is not in use')
 
 
 @pytest.fixture(autouse=True)
@@ -14,17 +13,15 @@ def no_warning_yet(monkeypatch):
     monkeypatch.setattr(jit, '_has_warned', False)
 
 
-@needs_numba
 def test_function_that_cannot_be_cached_is_a_warning():
     namespace = {}
     exec('def twice(x):\n    return 2.0 * x', namespace)  # without a source file
+    twice = jit.compiled(namespace['twice'])
     with pytest.warns(UserWarning, match='not kept between runs'):
-        twice = jit.compiled(namespace['twice'])
-    jit.compile_for(twice, '(f8,)')
+        jit.compile_for(twice, '(f8,)')
     assert twice(4.0) == 8.0
 
 
-@needs_numba
 def test_full_disk_is_a_warning(monkeypatch, tmp_path):
     @jit.compiled
     def twice(x):
@@ -33,14 +30,13 @@ def test_full_disk_is_a_warning(monkeypatch, tmp_path):
     def refuse(*_):
         raise OSError('No space left on device')
 
-    monkeypatch.setattr(twice._cache, 'save_overload', refuse)
-    monkeypatch.setattr(twice._cache, 'load_overload', lambda *_: None)
+    monkeypatch.setattr(FunctionCache, 'save_overload', refuse)
+    monkeypatch.setattr(FunctionCache, 'load_overload', lambda *_: None)
     with pytest.warns(UserWarning, match='No space left'):
         jit.compile_for(twice, '(f8,)')
     assert twice(4.0) == 8.0
 
 
-@needs_numba
 def test_nothing_compiles_once_prepared():
     @jit.compiled
     def twice(x):
@@ -51,7 +47,6 @@ def test_nothing_compiles_once_prepared():
         twice('a text')
 
 
-@needs_numba
 def test_threads_may_ask_for_the_same_compilation():
     @jit.compiled
     def twice(x):

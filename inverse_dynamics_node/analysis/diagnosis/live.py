@@ -52,8 +52,7 @@ FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
 MOST_STATES = 60
 """
-Largest number of states that the search uses. For 64 or more states, code may have to be
-compiled first, and the display would freeze during compilation.
+Largest number of states that the search uses, because the search repeats while the robot runs.
 """
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
 LEAST_DURATION = 1.0
