@@ -166,21 +166,6 @@ def test_a_payload_of_the_model_is_not_a_fault():
     assert kinds(diagnose_recording(dynamics, recording)) == []
 
 
-@EVERY_ROBOT
-def test_finds_the_inertia_of_rotors(name):
-    n = len(friction_of(name)[0])
-    armature = np.linspace(1.0, 0.2, n)
-    (diagnosis,) = diagnose_recording(
-        *run(name, friction=friction_of(name), armature=armature)
-    ).faults
-    assert diagnosis.kind.value == 'rotor_inertia'
-    found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
-    names = load_urdf(ROBOTS[name]).joint_names
-    assert len(found) >= n - 1  # one kilogram is negligible for the boom of the Stanford arm
-    for joint, inertia in zip(names, armature, strict=True):
-        assert found.get(joint, inertia) == pytest.approx(inertia, rel=0.05)
-
-
 def test_friction_of_a_joint_that_is_not_measured_or_explained_is_unknown(rng):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
@@ -259,20 +244,20 @@ def swinging(positions, velocities, accelerations):
     return InverseDynamics(dynamics.robot), recording
 
 
-def test_friction_is_unknown_for_motion_in_one_direction():
-    t = 0.002 * np.arange(5000)
-    result = diagnose_recording(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
-                                  0.05 * np.cos(t)))  # fmt: skip
-    assert '0 s backward' in result.joints[0].friction.unknown_because
+T = 0.002 * np.arange(5000)
+SIGN = np.where(T % 4.0 < 2.0, 1.0, -1.0)
+ONE_WAY = 0.3 * T - 0.05 * np.cos(T), 0.3 + 0.05 * np.sin(T), 0.05 * np.cos(T)
+ONE_SPEED = 0.3 * np.abs(T % 4.0 - 2.0), -0.3 * SIGN, 0.0 * T
 
 
-def test_friction_is_unknown_for_motion_at_one_speed():
-    t = 0.002 * np.arange(5000)
-    sign = np.where(t % 4.0 < 2.0, 1.0, -1.0)
-    result = diagnose_recording(
-        *swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000))
-    )
-    assert 'too narrow to distinguish' in result.joints[0].friction.unknown_because
+@pytest.mark.parametrize(
+    ('motion', 'words'),
+    [(ONE_WAY, '0 s backward'), (ONE_SPEED, 'too narrow to distinguish')],
+    ids=['one direction', 'one speed'],
+)
+def test_friction_is_unknown_for_such_motion(motion, words):
+    result = diagnose_recording(*swinging(*motion))
+    assert words in result.joints[0].friction.unknown_because
 
 
 # ---- Imperfect recordings ------------------------------------------------------------------

@@ -183,7 +183,9 @@ FAULTS = {
         lambda real, _: real.set_gravity(np.zeros(3)),
         advice='include_gravity to false',
     ),
-    'rotors': Planted(K.ROTOR_INERTIA, lambda real, _: real.set_armature(1.0)),
+    'rotors': Planted(
+        K.ROTOR_INERTIA, lambda real, _: real.set_armature(1.0), joints=ALL, values=7 * (1.0,)
+    ),
     'degrees': Planted(
         K.POSITIONS, states=np.degrees, words='in degrees, so nothing else can be diagnosed'
     ),
