@@ -14,7 +14,7 @@ from ..errors import UrdfError
 from ..robot.kinematics import last_link
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
-from .console import waiting
+from .console import progress
 from .output_files import output_path, picture_path
 
 _WIDTH = 99
@@ -189,7 +189,7 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
     be used. Raise ConfigurationError if gravity is not three finite numbers.
     """
     source = read_source_text(path)
-    with waiting('loading (compiling takes up to a minute the first time)'):
+    with progress('loading (compiling takes up to a minute the first time)'):
         return InverseDynamics(load_urdf(source), gravity)
 
 

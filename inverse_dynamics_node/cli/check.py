@@ -17,14 +17,15 @@ from ..report.tables import (
     effort_unit,
     fraction,
     number,
-    Table,
+    table,
     warnings_about,
+    warnings_as_text,
     WIDTH,
 )
 from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .console import progress, say, show, show_warnings
+from .console import progress, say, show
 from .output_files import check_outputs
 from .pictures.check import draw
 from .pictures.style import write_picture
@@ -101,11 +102,12 @@ def run(options: argparse.Namespace) -> int:
     return arguments.strict_code(options, warnings)
 
 
-def _show(text: str, tables: Iterable[Table], warnings: Sequence[ModelWarning]) -> None:
+def _show(text: str, tables: Iterable[str], warnings: Sequence[ModelWarning]) -> None:
     say(text)
     print()
     show(*tables)
-    show_warnings(warnings)
+    if warnings:
+        show(warnings_as_text(warnings))
 
 
 def _usable(warnings: Sequence[ModelWarning]) -> str:
@@ -131,7 +133,7 @@ def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
     return f"{text} Largest payload at link '{payload.link}': {payload.mass:.3g} kg."
 
 
-def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
+def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> str:
     """Return a table of gravity efforts, worst poses and the payload capacity."""
     robot, limits = workspace.robot, workspace.limits
     places = decimals(workspace.efforts)
@@ -168,14 +170,7 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     count = len(workspace.poses) - len(rows)
     title = f'Efforts that hold the robot, in {count} sampled poses and the worst poses near them'
-    return Table(
-        title,
-        tuple(columns),
-        tuple(rows),
-        notes,
-        frozenset({5, 6}),
-        frozenset(np.flatnonzero(workspace.peaks > limits).tolist()),
-    )
+    return table(title, columns, rows, notes, [5, 6])
 
 
 def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:

@@ -14,9 +14,10 @@ from ..analysis.diagnosis import (
 )
 from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
+from ..report.tables import warnings_as_text
 from ..robot.limit_checks import position_warnings
 from . import arguments
-from .console import say, show, show_warnings
+from .console import say, show
 from .output_files import check_outputs, write_file
 from .pictures.compare import draw
 from .pictures.style import try_to_draw
@@ -102,7 +103,8 @@ def run(options: argparse.Namespace) -> int:
         *position_warnings(robot, recording.positions, recording.joint_names),
         *map(diagnosis_warning, result.faults),
     ]
-    show_warnings(warnings)
+    if warnings:
+        show(warnings_as_text(warnings))
     show(comparison_table(result, notes), friction_table(result))
     if options.parameters:
         write_parameters(result, robot.joint_names, options.parameters)

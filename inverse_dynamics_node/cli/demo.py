@@ -23,7 +23,7 @@ from ..analysis.identification.result import calibrated_urdf, identified_paramet
 from ..analysis.recordings.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
-from ..report.tables import Table
+from ..report.tables import table
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from ..simulation.demo.commander import History
@@ -41,11 +41,10 @@ from ..simulation.demo.processes import stay_on_this_machine, unused_domain
 from ..simulation.demo.results import excuse, ScenarioResult
 from ..simulation.demo.scenarios import SCENARIOS
 from .arguments import add_force, add_picture, new_parser
-from .console import progress, say, show
+from .console import collected_signals, progress, say, show
 from .output_files import check_outputs, output_path
 from .pictures import demo as pictures
 from .pictures.style import write_picture
-from .signals import collected_signals
 
 EPILOG = """\
 examples:
@@ -277,7 +276,7 @@ def _table(
     truth: UnknownRobot,
     errors: tuple[Floats, Floats],
     result: IdentificationResult,
-) -> Table:
+) -> str:
     """Return a table of tracking errors, simulated parameters and identified parameters."""
     found = {joint.name: joint.terms for joint in result.joints}
     rows = []
@@ -299,8 +298,8 @@ def _table(
             )
         )
     columns = ('joint', 'error before', 'after', 'Coulomb', 'identified', 'rotor', 'identified')
-    return Table(
+    return table(
         'RMS tracking errors; friction and rotor inertia, simulated and identified',
         columns,
-        tuple(rows),
+        rows,
     )

@@ -19,11 +19,19 @@ from ..analysis.trajectory_files import (
 )
 from ..dynamics.trajectory import complete, refine, Trajectory
 from ..errors import listed
-from ..report.tables import counted, decimals, effort_unit, fraction, number, Table
+from ..report.tables import (
+    counted,
+    decimals,
+    effort_unit,
+    fraction,
+    number,
+    table,
+    warnings_as_text,
+)
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning, RobotModel
 from . import arguments
-from .console import progress, say, show, show_warnings
+from .console import progress, say, show
 from .output_files import check_outputs, new_file
 from .pictures.effort import draw
 from .pictures.style import try_to_draw
@@ -116,7 +124,8 @@ def run(options: argparse.Namespace) -> int:
         *position_warnings(robot, fine.positions, fine.joint_names),
         *_peak_warnings(fine, requirements),
     )
-    show_warnings(warnings)
+    if warnings:
+        show(warnings_as_text(warnings))
 
     written = [table]
     with new_file(table) as temporary:
@@ -159,7 +168,7 @@ def _summary(
     source: LoadedTrajectory,
     derived: tuple[str, ...],
     fine: Trajectory,
-) -> Table:
+) -> str:
     found = source.trajectory
     duration = fine.times[-1] - fine.times[0]
     joints = counted(len(found.joint_names), 'joint')
@@ -168,7 +177,7 @@ def _summary(
         count += f'; evaluated at {len(fine.times)} states'
     friction = 'with the friction of the URDF' if options.friction else 'without friction'
     notes = (count, '; '.join(filter(None, (load, friction))), *source.notes, *derived)
-    return Table(f'trajectory {options.trajectory}', notes=notes)
+    return table(f'trajectory {options.trajectory}', notes=notes)
 
 
 def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
@@ -193,7 +202,7 @@ def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[
 
 def requirement_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
-) -> list[Table]:
+) -> list[str]:
     """Return a table of peaks and limits, and a table of the terms of the efforts."""
     index = robot.joint_indices(fine.joint_names)
     places = decimals(requirements.peak)
@@ -229,18 +238,17 @@ def requirement_tables(
         else ()
     )
     return [
-        Table(
+        table(
             'Peaks compared with the limits',
             (*columns, ''),
-            tuple(rows),
+            rows,
             notes,
-            frozenset({9}),
-            frozenset(k for k, row in enumerate(rows) if row[-1]),
+            [9],
         ),
-        Table(
+        table(
             'Terms of the efforts (RMS)',
             ('joint', *_TERMS, 'total'),
-            tuple(parts),
+            parts,
             ('the velocity term contains the Coriolis and centrifugal efforts',),
         ),
     ]

@@ -24,7 +24,7 @@ from ..robot.capsules import body_capsules
 from ..robot.model import RobotModel
 from ..robot.urdf.shapes import read_shapes
 from . import arguments
-from .console import progress, say, show, waiting
+from .console import progress, say, show
 from .output_files import check_outputs, new_file
 from .pictures.excite import draw
 from .pictures.style import try_to_draw
@@ -204,7 +204,7 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
                 f'--box is {values}, expected a centre and three lengths above 0'
             )
         boxes.append(np.array([centre - 0.5 * lengths, centre + 0.5 * lengths]))
-    with waiting('reading collision shapes'):
+    with progress('reading collision shapes'):
         capsules = body_capsules(robot, *read_shapes(source))
         return keep_clear(robot, limits, capsules, options.floor, boxes)
 

@@ -17,12 +17,12 @@ from ..report.identification_report import (
     residual_table,
     summary_lines,
 )
-from ..report.tables import Table
+from ..report.tables import table, warnings_as_text
 from ..robot.kinematics import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments
-from .console import progress, say, show, show_warnings
+from .console import progress, say, show
 from .output_files import check_outputs, write_file
 from .pictures.identify import draw
 from .pictures.style import try_to_draw
@@ -147,16 +147,17 @@ def _show(
         ),
         *(ModelWarning(text, hint) for text, hint in result.warnings),
     ]
-    show_warnings(warnings)
+    if warnings:
+        show(warnings_as_text(warnings))
     lines = (*summary_lines(result), *(f'{note}.' for note in notes))
     show(
         residual_table(result),
         friction_table(result),
         body_table(result),
-        Table('Data', notes=lines),
+        table('Data', notes=lines),
     )
     if result.advice:
-        show(Table('To improve the result', notes=tuple(f'- {x}' for x in result.advice)))
+        show(table('To improve the result', notes=[f'- {x}' for x in result.advice]))
 
 
 def _write(

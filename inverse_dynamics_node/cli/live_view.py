@@ -13,7 +13,6 @@ from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, Re
 from ..errors import escaped
 from ..report.agreement_text import sentence
 from ..report.tables import counted
-from .console import colour_console
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
@@ -30,12 +29,13 @@ class LiveView:
     """A full-screen view that is updated in place until the ``with`` block ends."""
 
     def __init__(self) -> None:
+        from rich.console import Console
         from rich.live import Live
 
         # Some shells export COLUMNS and LINES, which would fix the size of the screen.
         size = {'COLUMNS', 'LINES'}
         environment = {key: os.environ[key] for key in os.environ.keys() - size}
-        self._console = colour_console(environment=environment)
+        self._console = Console(highlight=False, _environ=environment)
         self._live = Live(console=self._console, screen=True, auto_refresh=False)
         self.last_words = ''
         """Text to print after the screen has been closed."""
@@ -92,7 +92,7 @@ def _cropped(content: Any, console: Any) -> Any:
 def _headline(observer: Observer, agreement: Agreement) -> Any:
     text = _text(observer.name, 'bold')
     if observer.robot is not None:
-        text.append(f"  robot '{observer.robot.name}'", 'not bold')
+        text.append(escaped(f"  robot '{observer.robot.name}'"), 'not bold')
     status = observer.status
     if status is None:
         text.append('  waiting for diagnostics', 'not bold yellow')
@@ -103,9 +103,9 @@ def _headline(observer: Observer, agreement: Agreement) -> Any:
     loop = status.loop
     if loop.is_dry_run:
         text.append('  DRY RUN', 'bold cyan')
-    text.append(f'  {loop.state}', 'not bold')
+    text.append(escaped(f'  {loop.state}'), 'not bold')
     if loop.message != loop.state:
-        text.append(f'  {loop.message.removeprefix("dry run: ")}', 'not bold')
+        text.append(escaped(f'  {loop.message.removeprefix("dry run: ")}'), 'not bold')
     return text
 
 
@@ -299,11 +299,11 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
     }
 
 
-def _text(*arguments: Any, **options: Any) -> Any:
+def _text(text: str, style: str = '', **options: Any) -> Any:
     """Return a `rich.text.Text`; rich is imported here, because plain text does not need it."""
     from rich.text import Text
 
-    return Text(*arguments, **options)
+    return Text(escaped(text), style, **options)
 
 
 def _bar(fraction: float | None, length: int) -> Any:

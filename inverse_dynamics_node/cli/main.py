@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
 from importlib import import_module
 import os
 import sys
@@ -16,7 +15,6 @@ from ..errors import (
     shortened,
     TrajectoryError,
 )
-from .console import escaped_output
 from .output_files import OutputError
 
 _COMMANDS = {
@@ -88,16 +86,8 @@ _INTERRUPTED, _BROKEN_PIPE = 130, 141  # exit codes of a shell for SIGINT and SI
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return the exit code."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # These commands print only names from the local URDF. With escaped output, `demo` could not
-    # update a table in place.
-    with nullcontext() if arguments[:1] in (['demo'], ['simulate']) else escaped_output():
-        return _code_of(arguments)
-
-
-def _code_of(arguments: list[str]) -> int:
     """Run one command, and return the exit code. Print any error on one line."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = _run(arguments)
         sys.stdout.flush()  # flushed here, because a broken pipe is caught only here
@@ -174,7 +164,9 @@ def _listing(group: tuple[str, dict[str, str]]) -> str:
 
 
 def _fail(message: str, code: int = 1) -> int:
-    print(f'inverse_dynamics: {message}', file=sys.stderr)
+    # A message may contain names from files. Its line ends are those of a list of problems.
+    lines = map(escaped, message.split('\n'))
+    print('inverse_dynamics: ' + '\n'.join(lines), file=sys.stderr)
     return code
 
 

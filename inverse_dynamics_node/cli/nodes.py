@@ -9,7 +9,7 @@ import sys
 import time
 from typing import Any
 
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, escaped
 
 _DISCOVERY = 1.5  # [s]; usual duration of discovery
 _PATIENCE = 5.0  # [s]; after this time, the wait is announced
@@ -46,7 +46,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
         if not is_patient and waited > MOST_DISCOVERY:
             raise ConfigurationError(_not_found(wanted, names))
         if waited > _PATIENCE and not has_announced:
-            print(f'{_not_found(wanted, names)}; still waiting', file=sys.stderr)
+            print(escaped(f'{_not_found(wanted, names)}; still waiting'), file=sys.stderr)
             has_announced = True
         time.sleep(0.05)
     if wanted in chosen:

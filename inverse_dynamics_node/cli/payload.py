@@ -12,7 +12,7 @@ from ..analysis.diagnosis import GravityConvention
 from ..analysis.payload import measure_payload, PayloadEstimate
 from ..control.status import NodeStatus
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
-from ..errors import ConfigurationError, RecordingError
+from ..errors import ConfigurationError, escaped, RecordingError
 from ..report.payload_report import (
     as_json,
     inertia_table,
@@ -23,13 +23,12 @@ from ..report.payload_report import (
 )
 from ..robot.kinematics import last_link
 from . import arguments
-from .console import progress, say, show, waiting
+from .console import collected_signals, progress, say, show
 from .nodes import choose_node, node_name
 from .output_files import check_outputs, output_path, OutputError
 from .pictures.payload import draw
 from .pictures.style import write_picture
 from .recordings import measured_efforts, read_recording, reported_convention, scaled
-from .signals import collected_signals
 
 EPILOG = """\
 examples:
@@ -142,8 +141,8 @@ def run(options: argparse.Namespace) -> int:
         print()
         show(inertia_table(result), payload_table(result, robot, apparent))
         if is_shown:
-            print(topic_command(result))
-            print(inertial_element(result))
+            print(escaped(topic_command(result)))
+            print(escaped(inertial_element(result)))
     if options.picture:
         title = f'{robot.name}: {options.loaded.name}'
         write_picture(partial(draw, result, title, verdict(result)), options.picture)
@@ -182,7 +181,7 @@ def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, 
     with observing_node(options.ros_arguments) as node:
         observer = Observer(node, choose_node(node, wanted, is_patient=False))
         recorder = JointStateRecorder(observer)
-        with waiting(f'waiting for the joint states of {observer.name}'):
+        with progress(f'waiting for the joint states of {observer.name}'):
             recorder.wait(joints)
         before = observer.status
         text, partial = f'recording {recorder.topic} for {seconds:g} s', _partial(path)

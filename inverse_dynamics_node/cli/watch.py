@@ -25,10 +25,10 @@ from ..analysis.diagnosis.live import (
 from ..control.status import EffortsStatus, Level, ModelStatus
 from ..report.agreement_text import sentence
 from . import arguments
+from .console import handled_signals
 from .live_view import as_json, as_line, LiveView
 from .nodes import choose_node, MOST_DISCOVERY, node_name, only_one
 from .recordings import reported_convention
-from .signals import handled_signals
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample

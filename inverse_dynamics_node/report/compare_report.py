@@ -6,7 +6,7 @@ import math
 
 from ..analysis.diagnosis import ComparisonResult, JointResidual
 from .diagnosis_text import amount, headline, sentence
-from .tables import motion_notes, or_dash, Table, with_error
+from .tables import motion_notes, or_dash, table, with_error
 
 AT_NOISE = 1.5  # a residual below this multiple of the noise may be noise only
 
@@ -56,7 +56,7 @@ def _total(result: ComparisonResult, name: str) -> str:
     return ' and '.join(texts)
 
 
-def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
+def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> str:
     """Return measured efforts, modelled efforts and residuals, one row per joint."""
     motion, rows = result.motion, [_row(joint) for joint in result.joints]
     duration = motion.times[-1] - motion.times[0]
@@ -74,8 +74,8 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
         f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.',
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(motion), *notes)),
     )
-    return Table('Measured and modelled efforts', columns, tuple(rows), remarks,
-                 frozenset({1}))  # fmt: skip
+    return table('Measured and modelled efforts', columns, rows, remarks,
+                 [1])  # fmt: skip
 
 
 def _row(joint: JointResidual) -> tuple[str, ...]:
@@ -94,7 +94,7 @@ def _row(joint: JointResidual) -> tuple[str, ...]:
     )
 
 
-def friction_table(result: ComparisonResult) -> Table:
+def friction_table(result: ComparisonResult) -> str:
     """Return the fitted friction and the standard errors, one row per joint."""
     has_shape = any(joint.friction.has_shape for joint in result.joints)
     rows = []
@@ -126,10 +126,10 @@ def friction_table(result: ComparisonResult) -> Table:
         ),
     )
     columns = ('joint', 'damping', 'Coulomb', 'offset', *(('width', 'per load') * has_shape))
-    return Table(
+    return table(
         'Friction fitted to the residual (± standard errors, which cover random errors only)',
         columns,
-        tuple(rows),
+        rows,
         notes,
     )
 

@@ -12,7 +12,7 @@ from ..analysis.excitation.search import CANDIDATES, Excitation, SAMPLES_PER_SEC
 from ..dynamics.trajectory import Trajectory
 from ..errors import listed
 from ..robot.model import Floats, RobotModel
-from .tables import effort_unit, fraction, number, or_dash, Table
+from .tables import effort_unit, fraction, number, or_dash, table
 
 
 def excitation_tables(
@@ -21,7 +21,7 @@ def excitation_tables(
     trajectory: Trajectory,
     efforts: Floats,
     box: Extent,
-) -> list[Table]:
+) -> list[str]:
     """
     Return tables of an excitation motion and of the errors to expect in an identification.
 
@@ -43,7 +43,7 @@ def _motion(
     trajectory: Trajectory,
     efforts: Floats,
     box: Extent,
-) -> Table:
+) -> str:
     index = robot.joint_indices(trajectory.joint_names)
     assert trajectory.velocities is not None
     speeds = np.max(np.abs(trajectory.velocities), axis=0)
@@ -77,7 +77,7 @@ def _motion(
     ]
     title = f'Excitation motion of {robot.name}: {trajectory.times[-1]:g} s'
     columns = ('joint', 'start', 'moves', 'limits', 'speed', 'limit', 'effort', 'of limit')
-    return Table(title, columns, tuple(rows), tuple(notes))
+    return table(title, columns, rows, notes)
 
 
 def _distances(excitation: Excitation) -> list[str]:
@@ -103,7 +103,7 @@ def _distances(excitation: Excitation) -> list[str]:
     return notes
 
 
-def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -> Table:
+def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -> str:
     rows = []
     for k, name in enumerate(errors.joint_names):
         armature, damping, coulomb, offset = (or_dash(x, '.2g') for x in errors.of_joints[k])
@@ -122,10 +122,10 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
     duration = excitation.series.duration
     count = SAMPLES_PER_SECOND * duration
     gain = math.exp((excitation.log_det - excitation.random_log_det) / (2.0 * errors.count))
-    return Table(
+    return table(
         'Expected standard errors of one run, by joint',
         ('joint', 'noise', 'efforts', 'damping', 'Coulomb', 'offset', 'armature'),
-        tuple(rows),
+        rows,
         (
             f'assumes {count:g} independent samples in {duration:g} s, and no errors except the '
             'noise in the column "noise"; four runs halve all errors',
@@ -139,16 +139,16 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
     )
 
 
-def _bodies(errors: ExpectedErrors) -> Table:
+def _bodies(errors: ExpectedErrors) -> str:
     rows = [
         (name, *(or_dash(x, '.2g') for x in values))
         for name, values in zip(errors.body_names, errors.of_bodies, strict=True)
         if not np.isnan(values).all()
     ]
-    return Table(
+    return table(
         'Expected standard errors of one run, for the body that each joint moves',
         ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
-        tuple(rows),
+        rows,
         (
             'For vectors and tensors, the table shows the largest error among the components. If '
             'only a combination of parameters can be identified, its error is listed at one joint '

@@ -11,7 +11,7 @@ import numpy as np
 from ..analysis.identification import BodyResult, IdentificationResult, JointResult
 from ..errors import significant
 from ..robot.model import Floats
-from .tables import motion_notes, Table, with_error
+from .tables import motion_notes, table, with_error
 
 DETERMINED = 0.5
 """A mass is determined if recordings provide at least this fraction of the information on it."""
@@ -19,7 +19,7 @@ NOTED_CHANGE = 0.1
 """Relative change above which an undetermined mass gets a note."""
 
 
-def residual_table(result: IdentificationResult) -> Table:
+def residual_table(result: IdentificationResult) -> str:
     """Return the residuals of three models, one row per joint."""
     rows = [
         (
@@ -45,10 +45,10 @@ def residual_table(result: IdentificationResult) -> Table:
         'residual that no model can explain, estimated from the high frequencies of the efforts. '
         'Raw: residual of the identified model without smoothing.',
     )
-    return Table('Measured minus modelled efforts', columns, tuple(rows), notes, frozenset({7}))
+    return table('Measured minus modelled efforts', columns, rows, notes, [7])
 
 
-def friction_table(result: IdentificationResult) -> Table:
+def friction_table(result: IdentificationResult) -> str:
     """Return friction, armature and offset of every joint, with their standard errors."""
     rows = [_friction_row(joint) for joint in result.joints]
     columns = ('joint', 'damping', 'Coulomb', 'width', 'per load', 'armature', 'offset')
@@ -65,7 +65,7 @@ def friction_table(result: IdentificationResult) -> Table:
             if joint.unknown_because
         ),
     )
-    return Table('Joints', columns, tuple(rows), notes)
+    return table('Joints', columns, rows, notes)
 
 
 def _extra_notes(result: IdentificationResult) -> list[str]:
@@ -108,7 +108,7 @@ def _friction_row(joint: JointResult) -> tuple[str, ...]:
     return joint.name, *cells[:2], width, *cells[2:]
 
 
-def body_table(result: IdentificationResult) -> Table:
+def body_table(result: IdentificationResult) -> str:
     """Return masses and centres of mass before and after the identification."""
     rows = []
     for body in result.bodies:
@@ -145,7 +145,7 @@ def body_table(result: IdentificationResult) -> Table:
     ]
     if not result.accepted:
         notes.append('These values were not accepted and are not written to the URDF.')
-    return Table('Bodies', columns, tuple(rows), tuple(notes))
+    return table('Bodies', columns, rows, notes)
 
 
 def _follows_others(body: BodyResult) -> bool:

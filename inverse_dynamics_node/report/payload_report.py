@@ -9,7 +9,7 @@ from ..analysis.payload import PayloadEstimate
 from ..analysis.recordings.signals import rms
 from ..robot.model import RobotModel
 from .diagnosis_text import amount, joined
-from .tables import Table, with_error
+from .tables import table, with_error
 
 _WITHOUT_EMPTY = (
     'Without an empty run, errors in the modelled links look like a payload. On real robots, this '
@@ -39,7 +39,7 @@ def verdict(result: PayloadEstimate) -> str:
 
 def payload_table(
     result: PayloadEstimate, robot: RobotModel, apparent: PayloadEstimate | None
-) -> Table:
+) -> str:
     """Return the RMS efforts of the payload and the RMS residuals, one row per joint."""
     rows = []
     for name, measured, left in zip(
@@ -62,17 +62,17 @@ def payload_table(
         notes.append('The inertia is assumed, because the recordings do not show it.')
     columns = ('joint', 'payload', 'residual')
     title = 'RMS efforts of the payload and RMS residuals'
-    return Table(title, columns, tuple(rows), tuple(notes))
+    return table(title, columns, rows, notes)
 
 
-def inertia_table(result: PayloadEstimate) -> Table:
+def inertia_table(result: PayloadEstimate) -> str:
     """Return the mass and the centre of mass, with standard errors."""
     rows = [('mass [kg]', with_error(result.body.mass, result.mass_error))]
     rows += [
         (f'{axis} [mm]', 'unknown' if axis in result.unknown else with_error(1e3 * x, 1e3 * error))
         for axis, x, error in zip('xyz', result.body.com, result.com_error, strict=True)
     ]
-    return Table(f'Payload in the frame of {result.link}', ('', 'value'), tuple(rows))
+    return table(f'Payload in the frame of {result.link}', ('', 'value'), rows)
 
 
 def topic_command(result: PayloadEstimate) -> str:

@@ -12,12 +12,11 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError
 from ..robot.model import Floats, Integers, RobotModel
 from .tables import (
-    as_text,
     decimals,
     effort_unit,
     fraction,
     number,
-    Table,
+    table,
     warnings_about,
     warnings_as_text,
     wrapped,
@@ -29,7 +28,7 @@ def model_tables(
     joints: Sequence[str] = (),
     q: ArrayLike | None = None,
     effort_limits: ArrayLike | None = None,
-) -> list[Table]:
+) -> list[str]:
     """
     Return tables of the masses, joints and limits of a robot.
 
@@ -56,13 +55,13 @@ def model_report(
     q: ArrayLike | None = None,
     effort_limits: ArrayLike | None = None,
 ) -> str:
-    """Return `model_tables` and the warnings as text, at most 100 characters wide."""
+    """Return `model_tables` and the warnings as text."""
     tables = model_tables(dynamics, joints, q, effort_limits)
     warnings = warnings_about(dynamics.robot)
-    return '\n\n'.join([*map(as_text, tables), warnings_as_text(warnings)])
+    return '\n\n'.join([*tables, warnings_as_text(warnings)])
 
 
-def _summary(dynamics: InverseDynamics) -> Table:
+def _summary(dynamics: InverseDynamics) -> str:
     robot = dynamics.robot
     kinds = Counter(_kind(robot, body) for body in range(1, len(robot.parent)))
     moving, count = float(np.sum(robot.mass[1:])), len(robot.joint_names)
@@ -90,10 +89,10 @@ def _summary(dynamics: InverseDynamics) -> Table:
             'moving links without mass (correct for links that are only frames): '
             + ', '.join(massless)
         )
-    return Table(f"robot '{robot.name}'", notes=tuple(notes))
+    return table(f"robot '{robot.name}'", notes=notes)
 
 
-def _tree(robot: RobotModel, limits: Floats) -> Table:
+def _tree(robot: RobotModel, limits: Floats) -> str:
     columns = ('joint', 'kind', 'axis', 'from', 'to', 'speed', 'effort', 'mass [kg]')
     prefixes = _branches(robot.parent)
     rows: list[tuple[str, ...]] = [
@@ -123,10 +122,10 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
         for master, rules in followers.items()
     ]
     title = 'Joints, from the base outwards'
-    return Table(title, columns, tuple(rows), tuple(notes), frozenset({1, 2}))
+    return table(title, columns, rows, notes, [1, 2])
 
 
-def _merged(robot: RobotModel) -> list[Table]:
+def _merged(robot: RobotModel) -> list[str]:
     """List the links that fixed joints hold together, with their masses."""
     rows = []
     for body, name in enumerate(robot.body_names):
@@ -143,22 +142,22 @@ def _merged(robot: RobotModel) -> list[Table]:
         return []
     columns = ('moves with', 'links, with their masses [kg] unless zero')
     title = 'Links that fixed joints hold together'
-    return [Table(title, columns, tuple(rows), words=frozenset({1}))]
+    return [table(title, columns, rows, words=[1])]
 
 
-def _order(robot: RobotModel, commanded: Sequence[str]) -> Table:
+def _order(robot: RobotModel, commanded: Sequence[str]) -> str:
     index = {name: i for i, name in enumerate(robot.joint_names)}
     rows = tuple((str(k), name, str(index[name])) for k, name in enumerate(commanded))
     rest = [name for name in robot.joint_names if name not in commanded]
     notes = (f'not commanded, but taken into account: {", ".join(rest)}',) if rest else ()
     columns = ('command', 'joint', 'index in the URDF')
-    return Table('Order of the commands', columns, rows, notes, frozenset({1}))
+    return table('Order of the commands', columns, rows, notes, [1])
 
 
-def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
+def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> str:
     robot = dynamics.robot
     efforts = dynamics.gravity_efforts(q)
-    places, rows, marked = decimals(efforts), [], set()
+    places, rows = decimals(efforts), []
     efforts = np.round(efforts, places) + 0.0  # avoids -0.0
     for i, name in enumerate(robot.joint_names):
         marks = []
@@ -167,13 +166,11 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
         if abs(efforts[i]) > limits[i]:
             marks.append('beyond its limit')
         unit = effort_unit(robot, i)
-        if marks:
-            marked.add(i)
         rows.append((name, f'{q[i]:.4f}', f'{efforts[i]:.{places}f} {unit}', number(limits[i]),
                      fraction(efforts[i], limits[i]), ', '.join(marks)))  # fmt: skip
     columns = ('joint', 'position', 'gravity effort', 'limit', 'ratio', '')
     title = 'Efforts that hold the robot in this pose'
-    return Table(title, columns, tuple(rows), (), frozenset({5}), frozenset(marked))
+    return table(title, columns, rows, (), [5])
 
 
 def _limits(

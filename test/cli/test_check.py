@@ -76,7 +76,7 @@ def test_gravity_can_be_set(capsys):
     assert 'unlimited, because no loaded joint has an effort limit' in ' '.join(output.split())
 
 
-def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):
+def test_long_names_are_not_shortened(tmp_path, capsys):
     names = {
         f'joint_{i}': f'the_joint_number_{i}_of_the_arm_on_the_left_side' for i in range(1, 7)
     }
@@ -89,16 +89,6 @@ def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):
     assert '…' not in output
     rows = output.split('Efforts that hold the robot')[1].split('Worst pose')[0]
     assert all(name in rows for name in names.values())
-
-
-def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
-    from inverse_dynamics_node.cli.console import show
-    from inverse_dynamics_node.report.tables import Table
-
-    table = Table('t', ('joint', 'value'), ((f'{"a" * 60}_joint', '1' * 60),))
-    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
-    show(table)
-    assert '…' in capsys.readouterr().out
 
 
 def test_reads_standard_input(tmp_path, monkeypatch, capsys):

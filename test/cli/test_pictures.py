@@ -144,3 +144,14 @@ def test_numbers_in_a_row_are_a_range():
     assert style.runs_of([1, 2, 5, 4, 3]) == '1-5'
     assert style.runs_of([3, 7, 8]) == '3, 7, 8'
     assert style.runs_of([9, 1, 2, 3]) == '1-3, 9'
+
+
+def test_shortened_names_are_distinct():
+    assert style.shortened('gripper_left_finger_1', 15) == 'gripper…inger_1'
+    assert style.shortened('elbow', 15) == 'elbow'
+    assert style.all_shortened(['left_arm_elbow', 'right_arm_wrist'], 9) == [
+        'left…lbow',
+        'righ…rist',
+    ]
+    names = ['scara_inner_arm_joint', 'scara_outer_arm_joint']
+    assert style.all_shortened(names, 9) == names

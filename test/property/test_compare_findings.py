@@ -75,8 +75,8 @@ def test_noise_floor_is_reported_and_explained(quantum, rng):
     assert kinds(result) == []
     for joint in result.joints:
         assert joint.noise == pytest.approx(joint.rms_corrected, rel=0.4)
-    last = comparison_table(result, ()).rows[6]
-    assert last[-2].endswith('(noise)')
+    last = comparison_table(result, ()).splitlines()[8]
+    assert last.split()[-2].endswith('(noise)')
 
 
 def test_residuals_are_beside_percentages_and_the_same_everywhere():
@@ -88,8 +88,9 @@ def test_residuals_are_beside_percentages_and_the_same_everywhere():
     text = verdict(result)
     for value in (measured, residual, corrected):
         assert f'{math.sqrt(value / 7):.3g} N m' in text
-    for joint, row in zip(result.joints, comparison_table(result, ()).rows, strict=True):
-        assert row[6] == f'{joint.rms_corrected:.3g}'
+    rows = comparison_table(result, ()).splitlines()[2:9]
+    for joint, row in zip(result.joints, rows, strict=True):
+        assert row.split()[7] == f'{joint.rms_corrected:.3g}'
         assert joint.explained_corrected == pytest.approx(
             1.0 - (joint.rms_corrected / joint.rms_measured) ** 2
         )
@@ -155,7 +156,9 @@ def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_mo
 
 def test_standard_errors_are_limited_to_random_errors_in_the_headline():
     result = diagnose_recording(*run('branched', rate=100.0, friction=(0.5, 0.5)))
-    assert 'standard errors, which cover random errors only' in friction_table(result).title
+    assert (
+        'standard errors, which cover random errors only' in friction_table(result).splitlines()[0]
+    )
 
 
 @EVERY_ROBOT

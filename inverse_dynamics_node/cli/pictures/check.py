@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.sizing import PayloadCapacity, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...report.tables import all_shortened, effort_unit, shortened
+from ...report.tables import effort_unit
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
 from . import style
@@ -79,7 +79,7 @@ def _draw_efforts(axes: Any, workspace: Workspace) -> None:
         axes.plot(
             [marks[i]], [i], 'D', color=style.RED if peaks[i] > limit else colour, markersize=4.5
         )
-    labels = [f'{name}  {i}' for i, name in enumerate(all_shortened(names, 26), 1)]
+    labels = [f'{name}  {i}' for i, name in enumerate(style.all_shortened(names, 26), 1)]
     axes.set_yticks(range(len(names)), labels)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(-_REACH, _REACH)
@@ -152,7 +152,9 @@ def draw_arm(
     _draw_masses(axes, robot, flat_centres)
     places = _draw_joints(axes, robot, flat, joint)
     mark = flat_links[robot.link_index(link)]
-    axes.plot(*mark, 'v', color=style.GREEN, markersize=9, zorder=6, label=shortened(link, 22))
+    axes.plot(
+        *mark, 'v', color=style.GREEN, markersize=9, zorder=6, label=style.shortened(link, 22)
+    )
     _frame(axes, np.concatenate([flat, flat_links, flat_centres]))
     axes.set_xlabel('across [m]')
     axes.set_ylabel('up [m]')

@@ -8,7 +8,6 @@ from typing import Any
 from ...analysis.diagnosis import ComparisonResult
 from ...report.compare_report import percent
 from ...report.diagnosis_text import amount
-from ...report.tables import all_shortened
 from . import style
 
 _MOST_ROWS = 10
@@ -47,7 +46,7 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
         figsize=(style.WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
         width_ratios=(1.6, 1.0),
     )
-    names = all_shortened([joint.name for joint in result.joints], 40)
+    names = style.all_shortened([joint.name for joint in result.joints], 40)
     for c, (left, right) in enumerate(axes):
         joint = result.joints[c]
         lines = _draw_efforts(left, result, c)
@@ -74,7 +73,7 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
     """Draw a small panel for each joint, with efforts only."""
     figure, panels = style.panels(pyplot, len(result.joints), _ACROSS, 1.15)
-    names = all_shortened([joint.name for joint in result.joints], _NAME_LETTERS)
+    names = style.all_shortened([joint.name for joint in result.joints], _NAME_LETTERS)
     for c, ax in enumerate(panels):
         joint = result.joints[c]
         lines = _draw_efforts(ax, result, c)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...report.tables import all_shortened, effort_unit
+from ...report.tables import effort_unit
 from ...robot.model import Floats, RobotModel
 from ...simulation.demo.commander import History
 from ...simulation.demo.scenarios import Timeline
@@ -213,7 +213,7 @@ def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats])
         axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=style.GREY)
     axes.set_xscale('log')
     axes.set_xlim(0.5 * float(np.min(after)), 8.0 * float(np.max(before)))
-    axes.set_yticks(places, all_shortened(names, 22), fontsize=8.5)
+    axes.set_yticks(places, style.all_shortened(names, 22), fontsize=8.5)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel('RMS error [mrad, mm]', fontsize=9)
     axes.grid(axis='y', visible=False)

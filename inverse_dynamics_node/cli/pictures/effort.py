@@ -9,7 +9,7 @@ import numpy as np
 
 from ...analysis.sizing import EffortRequirements
 from ...dynamics.trajectory import Trajectory
-from ...report.tables import all_shortened, effort_unit
+from ...report.tables import effort_unit
 from ...robot.model import RobotModel
 from . import style
 
@@ -30,7 +30,7 @@ def draw(
     """Draw a panel for each joint, and write the picture."""
     m = len(fine.joint_names)
     columns = 1 if m == 1 else 2 if m <= 12 else 3
-    names = all_shortened(fine.joint_names, _NAME_LETTERS[columns])
+    names = style.all_shortened(fine.joint_names, _NAME_LETTERS[columns])
     with style.styled_pyplot() as pyplot:
         figure, panels = style.panels(pyplot, m, columns, 1.7 if m > 2 else 2.3)
         for k, axes in enumerate(panels):

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...analysis.payload import PayloadEstimate
-from ...report.tables import all_shortened
 from . import style
 
 
 def draw(result: PayloadEstimate, source: str, title: str, path: Path) -> None:
     """Draw the efforts of all joints over time, and write the picture."""
-    names = all_shortened(result.joint_names, 40)
+    names = style.all_shortened(result.joint_names, 40)
     marks = {'marker': 'o', 'linestyle': ''} if result.poses else {}
     signals = (
         (result.measured, {**style.MEASURED, **marks}),

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...report.tables import all_shortened, number, wrapped
+from ...report.tables import number, wrapped
 from ...robot.model import Floats
 from ..output_files import new_file
 
@@ -110,6 +110,18 @@ def title_lines(*paragraphs: str) -> list[str]:
     """Wrap the paragraphs of a title, and return the lines."""
     lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
     return [*lines[:_TITLE_LINES], '...'] if len(lines) > _TITLE_LINES else lines
+
+
+def shortened(text: str, size: int) -> str:
+    """Replace the middle of a long text with "…", because names differ at the start or end."""
+    head = (size - 1) // 2
+    return text if len(text) <= size else f'{text[:head]}…{text[len(text) - (size - 1 - head) :]}'
+
+
+def all_shortened(names: Sequence[str], size: int) -> list[str]:
+    """Shorten names, unless two of them would become equal."""
+    short = [shortened(name, size) for name in names]
+    return short if len(set(short)) == len(set(names)) else list(names)
 
 
 def set_title(figure: Any, *paragraphs: str) -> None:
