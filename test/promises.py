@@ -231,7 +231,7 @@ class Promises:
         was_falling, self.fall_time = self.fall_time is not None, None
         loop = self.node.loop
         law, collector = loop.controller.law, loop.collector
-        velocities, accelerations = (array.copy() for array in law.motion)
+        velocities, accelerations = law.velocities.copy(), law._qdd.copy()
         is_followed = loop.controller.phase is Phase.RUNNING
         followed = loop.reference if is_followed else Reference(None, None, now)
         new = Computed(
