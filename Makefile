@@ -106,7 +106,7 @@ bench-loop: $(VENV)/test.done
 storm: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.storm $(ARGS)
 
-# An hour with references, loads, descriptions and parameters that change; ARGS='--minutes 1' is shorter.
+# An hour with references, loads and parameters that change; ARGS='--minutes 1' is shorter.
 soak: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.soak $(ARGS)
 

@@ -1,8 +1,8 @@
 """
 Runs the node for a long time while all its inputs change.
 
-Joint states arrive without pause. References, payloads, wrenches, gravity, robot descriptions,
-trajectories and parameters change. The program reads all outputs, most of them in turn. For each
+Joint states arrive without pause. References, payloads, wrenches, gravity, trajectories
+and parameters change. The program reads all outputs, most of them in turn. For each
 quarter of the time, it prints latencies, gaps, memory, threads and open files, as a table for
 doc/evidence/reliability.md. It fails if
 
@@ -21,7 +21,6 @@ import itertools
 import math
 import os
 from pathlib import Path
-import re
 import signal
 import struct
 import subprocess
@@ -71,7 +70,7 @@ LONGEST_GAP = 0.5  # [s]; largest excess of a gap over the longest gap of the jo
 PATIENCE = 60.0  # [s]; time limit for the start and the end of the node
 NUMBERS = 1000  # number of joint states that can be distinguished by their measured efforts
 STEP = 1000.0  # [N m]; between the measured efforts of successive joint states
-FAULTS = 'message dropped', 'Traceback', 'kept the old robot description'
+FAULTS = 'message dropped', 'Traceback'
 PARAMETERS = {
     'effort_scale': (1.0, 0.95),
     'include_friction': (True, False),
@@ -110,7 +109,7 @@ class Quarter(NamedTuple):
     memory: float
     """Median of the resident memory of the node [MB]."""
     child_memory: float
-    """Median memory of the process that reads robot descriptions and trajectories [MB]."""
+    """Median memory of the process that reads trajectories [MB]."""
     threads: int
     """Median number of threads of the node; some threads exist only briefly."""
     files: int
@@ -125,15 +124,13 @@ class Robot:
 
     def __init__(self, rate: float, pid: int) -> None:
         self.model = load_urdf(ROBOT)
-        self.text = ROBOT.read_text()
         self.node = rclpy.create_node('robot')
         self.executor = EventsExecutor()
         self.executor.add_node(self.node)
         self.random = np.random.default_rng(1)
         self.last: list[float] = []
         self.outputs = dict.fromkeys([*OUTPUTS, *IN_TURN], 0)
-        self.changes = dict.fromkeys(('descriptions', 'payloads', 'gravities', 'parameters'), 0)
-        self.changes['trajectories'] = 0
+        self.changes = dict.fromkeys(('payloads', 'gravities', 'parameters', 'trajectories'), 0)
         self._pid = pid
         self._turn = 0
         self._number = 0
@@ -151,7 +148,7 @@ class Robot:
         self._gravities = publish(Vector3Stamped, f'{NODE}/gravity', 1)
         self._set = self.node.create_client(SetParameters, f'{NODE}/set_parameters')
         self._answers: list[Any] = []
-        self._descriptions.publish(String(data=self.text))
+        self._descriptions.publish(String(data=ROBOT.read_text()))
         subscribe = self.node.create_subscription
         subscribe(Float64MultiArray, f'{NODE}/commands', self._on_command, 100)
         for name, kind in OUTPUTS.items():
@@ -245,20 +242,8 @@ class Robot:
             self.changes['gravities'] += 1
         elif turn == 2:
             self._set_parameters(str(self.random.choice(list(PARAMETERS))))
-        elif self._turn % 20 == 3:
-            self._publish_description()
         elif self._turn % 20 == 11:
             self._publish_trajectory()
-
-    def _publish_description(self) -> None:
-        factor = self.random.uniform(0.9, 1.1)
-        text = re.sub(
-            r'<mass value="([\d.]+)"',
-            lambda found: f'<mass value="{factor * float(found[1]):.6f}"',
-            self.text,
-        )
-        self._descriptions.publish(String(data=text))
-        self.changes['descriptions'] += 1
 
     def _publish_trajectory(self) -> None:
         message = JointTrajectory(joint_names=self.model.joint_names)

@@ -6,7 +6,7 @@ Usage: python test/random_driver.py [--events 1000000] [--seed 0], or --sequence
 The control loop is the real one; the clock, the arm and the order of events are made up. A
 sequence is one robot from its start on: joint states that arrive whole, in parts, late, in bursts
 of old ones after a suspension, contradicting or invalid; parameters, stops, dry runs, loads,
-references, clocks that jump, other descriptions.
+references, clocks that jump.
 
 """
 
@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 import math
 import random
-import re
 import sys
 import time
 
@@ -29,11 +28,9 @@ from promises import BrokenPromiseError, Promises
 from robot_files import ROOT
 from states import store_state
 
-TEXT = (ROOT / 'test/robots/seven_dof.urdf').read_text()
-HEAVIER = re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', TEXT)
-ROBOTS = [load_urdf(TEXT), load_urdf(HEAVIER)]
-NAMES, N = list(ROBOTS[0].joint_names), len(ROBOTS[0].joint_names)
-TIP = ROBOTS[0].link_names[-1]
+ROBOT = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+NAMES, N = list(ROBOT.joint_names), len(ROBOT.joint_names)
+TIP = ROBOT.link_names[-1]
 WATCH = 0.01  # [s]; period of the steps without joint states
 SETTINGS = {
     'state_timeout': [0.1, 0.1, 0.5, 1.0],
@@ -64,7 +61,7 @@ class Node:
         self.include_friction = False
         mode = pick.choice(list(Mode))
         self.settings = Settings(mode=mode, stop_damping=pick.choice([0.0, 50.0, 50.0]))
-        self.robot, self.imu = 0, imu
+        self.imu = imu
         self.loop = self.make_loop()
         self.loop.start()
         self.has_restarted = False
@@ -73,7 +70,7 @@ class Node:
     def make_loop(self):
         period = 1.0 / self.rate if self.rate else 0.0
         return ControlLoop(
-            ROBOTS[self.robot],
+            ROBOT,
             settings=self.settings,
             period=period,
             has_imu=self.imu,
@@ -84,12 +81,6 @@ class Node:
         damping, coulomb, load = self.include_friction * np.array([1.2, 0.6, 0.05])
         self.loop.dynamics.set_friction(damping, coulomb, load_friction=load)
         self.loop.controller.apply(self.settings)
-
-    def switch_description(self):
-        self.robot = 1 - self.robot
-        old, self.loop = self.loop, self.make_loop()
-        self.apply()
-        self.loop.continue_from(old, is_active=True)
 
     def set_payload(self, now, mass):
         self.loop.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
@@ -131,7 +122,7 @@ class Sequence:
         self.steady, self.shift = 100.0, 0.0  # [s]; the clock of the node may be shifted
         self.state_period = pick.choice([0.01, 0.01, 0.005, 0.002, 0.001])
         self.has_velocities, self.jitter = pick.random() < 0.8, pick.choice([0.0, 0.5, 2.0])
-        speeds = pick.choice([0.0, 0.3, 0.8, 1.2]) * ROBOTS[0].velocity_limits
+        speeds = pick.choice([0.0, 0.3, 0.8, 1.2]) * ROBOT.velocity_limits
         self.arm = Arm(
             np.array([pick.uniform(-1.0, 1.0) for _ in NAMES]),
             np.array([pick.uniform(0.2, 1.5) for _ in NAMES]),
@@ -340,9 +331,6 @@ class Sequence:
     def end_reference(self):
         self.acceleration = None
 
-    def switch_description(self):
-        self.node.switch_description()
-
 
 ACTIONS = [
     Sequence.change_mode,
@@ -377,7 +365,6 @@ ACTIONS = [
     Sequence.change_reference,
     Sequence.change_reference,
     Sequence.end_reference,
-    Sequence.switch_description,
 ]
 
 

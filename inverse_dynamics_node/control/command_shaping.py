@@ -242,15 +242,6 @@ class CommandShaper:
             return self._stop_ramp
         return max(self._stop_ramp if self._is_damped else 0.0, self._stop.time_left)
 
-    def continue_from(self, other: CommandShaper) -> None:
-        """Continue from the last command of another shaper for the same joints."""
-        self.clock = other.clock
-        self.command[:], self._stop = other.command, other._stop
-        self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
-        self._left, self._duration = other._left, other._duration
-        self._way, self._was_paused = other._way, other._was_paused
-        self.begin()
-
     @property
     def continues(self) -> bool:
         """Whether the last command, or a command in the last 30 ms, came from `follow`."""

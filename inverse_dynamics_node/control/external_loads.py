@@ -210,28 +210,6 @@ class ExternalLoads:
         finally:
             self._write_gravity(self.include_gravity)
 
-    def continue_from(self, other: ExternalLoads) -> list[str]:
-        """
-        Take over the loads of ``other``, which belongs to another robot description.
-
-        A payload is dropped if this robot lacks the link. The
-        result lists the links of the dropped payloads. ``other`` must not be used afterwards.
-
-        """
-        dropped = []
-        for link, payload in other.payloads.items():
-            if link in self.dynamics.robot.link_names:
-                self.payloads[link] = payload
-                self.dynamics.set_payload(link, *payload)
-            else:
-                dropped.append(link)
-        self.gravity, self._gravity_time = other.gravity, other._gravity_time
-        self._angular_velocity, self.imu_time = other._angular_velocity, other.imu_time
-        self._imu_filter = other._imu_filter
-        self._is_base_lost, self._is_new_signal = other._is_base_lost, other._is_new_signal
-        self._write_base()
-        return dropped
-
     @property
     def gravity_at_root(self) -> Floats:
         """Current free-fall acceleration in the root frame [m/s^2]."""

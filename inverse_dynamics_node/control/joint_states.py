@@ -17,7 +17,6 @@ from ..errors import ConfigurationError, did_you_mean, JointStateError
 from ..robot.model import Booleans, Floats, Integers, RobotModel
 from .position_tracks import (
     alternating,
-    copy_track,
     forget_silent,
     has_jumped,
     ignored_step,
@@ -213,17 +212,6 @@ class JointStateCollector:
         if self.time == -math.inf or self._other_time == -math.inf:
             return None
         return State(self.q, self.qd, self.time, self.times, self.is_consistent)
-
-    def continue_from(self, other: JointStateCollector) -> None:
-        """Copy the states of common joints from another collector."""
-        for name, i in self._index.items():
-            k = other._index.get(name)
-            if k is not None and other.times[k] > LONG_AGO:
-                self._known[:, i] = other._known[:, k]
-                self._has_velocity[i] = other._has_velocity[k]
-                copy_track(self._tracks, i, other._tracks, k)
-        self._find_alternating()
-        self._find_oldest()
 
     def missing(self) -> list[str]:
         """Return the unlocked joints that were never reported."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
-from ..errors import ConfigurationError
 from ..robot.model import Booleans, Floats, RobotModel
 from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
@@ -164,24 +163,6 @@ class Controller:
         self.law.reset()
         self.shaper.reset()
 
-    def continue_from(self, other: Controller) -> None:
-        """
-        Continue from the last command of a controller for another robot description.
-
-        The other controller must not be used afterwards. If the controllers command different
-        joints, a ConfigurationError is raised.
-
-        """
-        if self.joints != other.joints:
-            raise ConfigurationError(
-                f'the commanded joints are now {", ".join(self.joints)}; expected '
-                f'{", ".join(other.joints)}'
-            )
-        self.supervisor = other.supervisor
-        self.law.equilibrium = other.law.equilibrium
-        self.shaper.continue_from(other.shaper)
-        self.stop_damping.continue_from(other.stop_damping)
-
     def pass_time(self, now: float) -> float:
         """Advance the clock of the ramps to ``now`` [s]; return the time step of the ramps [s]."""
         clock = self.shaper.clock
@@ -259,6 +240,8 @@ class ControlLoop:
         self.robot = robot
         self.description = ''
         """The URDF as XML text, if known."""
+        self.is_outdated = False
+        """Whether another robot description has arrived that the loop does not use."""
         self.base_link = base_link or robot.body_names[0]
         self.dynamics = InverseDynamics(robot)
         self.controller = Controller(self.dynamics, joints, settings, period)
@@ -388,22 +371,6 @@ class ControlLoop:
                 joints = list(self.collector.alternating())
                 missing = [f'consistent positions of {", ".join(joints)} on {states}']
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
-
-    def continue_from(self, other: ControlLoop, *, is_active: bool) -> list[str]:
-        """
-        Take over the joint states and loads of another loop, which must not be used afterwards.
-
-        If ``is_active``, also continue from the last command and the reference. If the two loops
-        command different joints, a ConfigurationError is raised and nothing changes. A payload is
-        dropped if this robot lacks the link. The result lists the links of the dropped payloads.
-
-        """
-        if is_active:
-            self.controller.continue_from(other.controller)
-            self.reference, self.dry_run = other.reference, other.dry_run
-            self.drive.weight = other.drive.weight
-        self.collector.continue_from(other.collector)
-        return self.loads.continue_from(other.loads)
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """

@@ -87,11 +87,6 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     return tracks
 
 
-def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
-    """Copy the history of one joint into the tracks of another robot description."""
-    target[_CONSTANTS:, i] = source[_CONSTANTS:, k]
-
-
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
     """Return the two positions between which each faulty joint alternates, by joint index."""
     return {

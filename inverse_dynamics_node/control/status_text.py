@@ -75,12 +75,8 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
         return f'{loop.controller.phase.value}: {loop.controller.law.cause_of_failure()}'
-    if loop.lacks_imu:
-        return 'no message on imu yet'
     if not loop.collector.is_consistent:
         return '; '.join(describe_alternating(loop).values())
-    if loop.collector.missing():
-        return f'no joint state of {", ".join(loop.collector.missing())} yet'
     timeout = loop.controller.settings.state_timeout
     joints = ', '.join(loop.collector.stale(now, timeout))
     if joints:
@@ -269,13 +265,20 @@ def judge_efforts(
     return Level.OK, activity(now, loop)
 
 
+OUTDATED = (
+    'another robot description has arrived; to use it, deactivate, clean up and configure the node'
+)
+
+
 def judge_model(now: float, loop: ControlLoop) -> Judgement:
-    """Report an unknown motion of the base, or warnings about the robot description."""
+    """Report an unknown motion of the base, and problems of the robot description."""
     unknown = describe_lost_imu(now, loop)
     if loop.lacks_imu:
         unknown = 'the motion of the base is unknown: no message on imu yet'
     if unknown:
         return Level.ERROR, unknown
+    if loop.is_outdated:
+        return Level.WARN, OUTDATED
     warnings = loop.robot.warnings
     if warnings:
         number = '1 warning' if len(warnings) == 1 else f'{len(warnings)} warnings'

@@ -91,12 +91,6 @@ class StopDamping:
         """End the damping until the next stop begins."""
         self.is_active, self.report = False, report or self.report
 
-    def continue_from(self, other: StopDamping) -> None:
-        """Continue a stop that began with another URDF but the same commanded joints."""
-        dynamics, index, is_continuous = self._dynamics, self._index, self._is_continuous
-        self.__dict__.update(other.__dict__)
-        self._dynamics, self._index, self._is_continuous = dynamics, index, is_continuous
-
     def efforts(self, now: float, state: State | None, step: float, since: float) -> Floats | None:
         """
         Compute the efforts to add to the stop ramp; None if the motion is not damped.

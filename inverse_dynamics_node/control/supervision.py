@@ -150,7 +150,7 @@ class StateSupervisor:
         """Return whether joint states are lost, or newer than ``now`` after a clock jump."""
         was_lost = self.phase is Phase.STATE_LOST
         if state is None:
-            # A joint of a new robot description was never reported. The first state ends the loss.
+            # No joint state has ever arrived. The first one ends the loss.
             self._lost_gain = 0.0
             return True
         is_fresh = 0.0 <= now - state.time <= timeout

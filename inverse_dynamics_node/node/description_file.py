@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 import os
 from pathlib import Path
 import re
@@ -10,14 +9,11 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
-from ..control.loop import ControlLoop
 from ..errors import ConfigurationError, shortened, UrdfError
 from ..robot.model import RobotModel
 from ..robot.urdf import load_urdf
 from ..robot.urdf.xml import parse, read_source
-from .configure import make_loop
 from .parameters import Configuration
-from .worker import Worker
 
 _XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re.S)
 
@@ -145,56 +141,3 @@ def _share_directory(package: str) -> Path:
         ) from None
     except ModuleNotFoundError as error:
         raise ConfigurationError(f'package:// needs ament_index_python ({error})') from None
-
-
-class DescriptionLoader:
-    """
-    Makes the control loop for a new robot description while the old loop runs.
-
-    Reading a description takes tenths of a second. Therefore `worker` reads descriptions in
-    another process.
-    """
-
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
-        self._loading: Future[tuple[RobotModel, str]] | None = None
-        self._next: tuple[Configuration, str] | None = None
-
-    @property
-    def is_loading(self) -> bool:
-        """Whether a description is being read, or has been read and waits for `take_loop`."""
-        return self._loading is not None
-
-    def poll(self) -> bool:
-        """Start reading the scheduled description if idle; return whether to call `take_loop`."""
-        is_ready = self._loading is not None and self._loading.done()
-        if self._next is not None and (is_ready or self._loading is None):
-            self._loading = self._worker.submit(load_robot, *self._next)
-            self._next = None
-            return False
-        return is_ready
-
-    def load(self, configuration: Configuration, description: str) -> None:
-        """Schedule a description for reading, and discard older descriptions."""
-        self._next = configuration, description
-        self.poll()
-
-    def drop(self) -> None:
-        """Discard all descriptions that have been passed to `load`."""
-        self._loading = self._next = None
-
-    def take_loop(
-        self, old: ControlLoop, configuration: Configuration, is_active: bool
-    ) -> tuple[ControlLoop, list[str]]:
-        """
-        Return the new loop, and the links whose payloads were dropped.
-
-        If `is_active`, the new loop continues from the last command of the old loop. Otherwise
-        the new loop only copies inputs such as payloads. A payload is dropped if the new robot
-        lacks the link. `configuration` may be newer than the configuration passed to `load`.
-        Raise an InverseDynamicsError if the description cannot be used.
-        """
-        assert self._loading is not None
-        loading, self._loading = self._loading, None
-        loop = make_loop(configuration, *loading.result())
-        return loop, loop.continue_from(old, is_active=is_active)

@@ -15,6 +15,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
+from ..control.status_text import OUTDATED
 from ..control.stop_damping import TIMEOUT
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
@@ -102,7 +103,6 @@ class InverseDynamicsNode(LifecycleNode):
             clock,
             now,
             skip_ramp,
-            self._worker,
             configuration,
         )
         self._filler = TrajectoryFiller(self, self._runner, self._worker)
@@ -324,8 +324,15 @@ class InverseDynamicsNode(LifecycleNode):
         if message.data == self._description:
             return
         self._description = message.data
-        if self._runner.loop is None:
+        loop = self._runner.loop
+        if loop is None:
             self.autostart()
             return
-        self.get_logger().info('received a new robot description')
-        self._runner.load_description(message.data)
+        is_outdated = message.data != loop.description
+        if is_outdated and not loop.is_outdated:
+            name = self.get_fully_qualified_name()
+            self.get_logger().warning(
+                f'{OUTDATED}: for x in deactivate cleanup configure activate; do ros2 lifecycle '
+                f'set {name} $x; done'
+            )
+        loop.is_outdated = is_outdated

@@ -19,11 +19,9 @@ from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from ..ros.graph import Graph
 from .configure import apply_configuration
-from .description_file import DescriptionLoader
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import Configuration
-from .worker import Worker
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while joint states arrive
@@ -41,7 +39,7 @@ class LoopRunner:
     Steps the control loop and publishes its commands.
 
     `clock` drives the timers, and `now` returns the time of `clock` [s]. `skip_ramp` returns True
-    to end the stop ramp early. `worker` reads robot descriptions.
+    to end the stop ramp early.
     """
 
     def __init__(
@@ -53,7 +51,6 @@ class LoopRunner:
         clock: Clock,
         now: Callable[[], float],
         skip_ramp: Callable[[], bool],
-        worker: Worker,
         configuration: Configuration,
     ) -> None:
         self._node, self.outputs, self.graph, self.log = node, outputs, graph, log
@@ -64,7 +61,6 @@ class LoopRunner:
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
         self.monitor = Monitor()
-        self.loader = DescriptionLoader(worker)
         self._last_step = 0.0
         self._timers: list[Timer] = []
 
@@ -96,15 +92,9 @@ class LoopRunner:
         """Drop the loop and its timers."""
         self.loop = None
         self.is_active = False
-        self.loader.drop()
         for timer in self._timers:
             self._node.destroy_timer(timer)
         self._timers = []
-
-    def load_description(self, description: str) -> None:
-        """Start to load a robot description; its loop will replace the old loop."""
-        self.loader.load(self.configuration, description)
-        self._watch_after(self._watch_period)
 
     def start(self) -> None:
         """Start to send commands; the efforts rise from zero."""
@@ -206,7 +196,6 @@ class LoopRunner:
         """Step if joint states are lost, or if the commands must ramp down without them."""
         if self.loop is None:  # the event was queued before its timer was destroyed
             return
-        self._switch_loop()
         wait = self._watch_period
         if self.is_active:
             assert self.loop is not None
@@ -219,7 +208,7 @@ class LoopRunner:
                 # Joint states may be lost during the ramp, for example at an emergency stop.
                 if not 0.0 <= now - self._last_step < self._watch_period:
                     self.step(now)
-            elif not self.loader.is_loading:
+            else:
                 # An earlier check cannot find a loss, and takes as long as a short step.
                 wait = max(wait, min(state.time + timeout - now, _MAX_WATCH_PERIOD))
         self._watch_after(wait)
@@ -240,26 +229,6 @@ class LoopRunner:
         if period != self._watch.timer_period_ns:
             self._watch.timer_period_ns = period
             self._watch.reset()
-
-    def _switch_loop(self) -> None:
-        """Switch to the loop of a new robot description if the worker has read one."""
-        assert self.loop is not None
-        if not self.loader.poll():
-            return
-        try:
-            loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
-        except Exception as error:  # any error of the worker
-            self._node.get_logger().error(
-                f'kept the old robot description, because the new one cannot be used: {error}'
-            )
-            self.monitor.reject('robot_description', str(error).partition('\n')[0])
-            return
-        for link in dropped:
-            text = f"link '{link}' no longer exists; its payload was dropped"
-            self._node.get_logger().warning(text)
-        self.loop = loop
-        self.log.report_robot(loop)
-        self.outputs.publish_description(loop)
 
     def ramp_down(self, reason: str, read_joint_state: Callable[[], None]) -> None:
         """

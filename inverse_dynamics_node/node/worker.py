@@ -21,10 +21,9 @@ from typing import Any
 
 from ..errors import InverseDynamicsError
 
-with contextlib.suppress(ImportError):  # reported when a description is loaded
-    # Imported here, because each import would take tenths of a second in the child process.
+with contextlib.suppress(ImportError):  # reported when a trajectory is filled
+    # Imported here, because the import would take tenths of a second in the child process.
     import scipy.interpolate  # noqa: F401
-    import yourdfpy  # noqa: F401
 
 _PR_SET_PDEATHSIG = 1  # prctl(2)
 
@@ -33,7 +32,7 @@ class Worker:
     """
     Calls functions one at a time in a child process.
 
-    A thread that reads a message or an XML file would hold the global interpreter lock for
+    A thread that reads a long message would hold the global interpreter lock for
     milliseconds, and so delay the control loop. On a busy machine, the scheduler may also
     interrupt the thread while it holds the lock.
 

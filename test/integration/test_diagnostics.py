@@ -59,6 +59,40 @@ def test_missing_inputs_are_reported_from_the_start(run_node, robot, wait_for_st
     assert node.process.poll() is None
 
 
+def test_a_description_that_arrives_later_is_used_at_the_next_configuration(
+    run_node, robot, wait_for_status
+):
+    node = run_node(start_ramp=0.0, stop_ramp=0.2, state_timeout=5.0)
+    text = STANFORD.read_text()
+    robot.publish_description(text)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    hold = InverseDynamics(load_urdf(text)).gravity_efforts(Q)
+    robot.wait_for_command(hold)
+    links = ''.join(
+        f'<link name="x{k}"/><joint name="y{k}" type="fixed"><parent link="base_link"/>'
+        f'<child link="x{k}"/></joint>'
+        for k in range(60_000)
+    )
+    robot.publish_again(text.replace('</robot>', f'{links}</robot>'))
+    wait_for_status('model', WARN, 'another robot description has arrived')
+    robot.publish_again(text)
+    wait_for_status('model', OK, "robot 'stanford'")
+    robot.publish_again(text.replace('</robot>', f'{links}</robot>'))
+    wait_for_status('model', WARN, 'another robot description has arrived')
+    robot.wait_for_command(hold)
+    assert robot.change_state('deactivate')
+    assert robot.change_state('cleanup')
+    assert not robot.change_state('configure')
+    robot.wait_for_text(node, 'links, expected at most 1000')
+    heavier = text.replace('<mass value="', '<mass value="1')
+    robot.publish_again(heavier)
+    robot.wait_until(lambda: robot.change_state('configure'), 'configuration')
+    assert robot.change_state('activate')
+    robot.wait_for_command(InverseDynamics(load_urdf(heavier)).gravity_efforts(Q))
+    commands = 'set /inverse_dynamics $x; done'
+    assert node.output.count(commands) == 2
+
+
 def test_rates_and_ages_are_reported_while_active(run_node, robot, wait_for_status):
     run_node(**PATIENT, update_rate=100)
     robot.publish_state(NAMES, Q, np.zeros(6))

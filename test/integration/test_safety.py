@@ -6,7 +6,6 @@ import re
 import signal
 import time
 
-from geometry_msgs.msg import Inertia, InertiaStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from rclpy.parameter import Parameter
 from robot_files import ROOT, STANFORD
 from robot_side import RATE
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -441,43 +440,6 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     wait_to_be_under_way(-1.0)
     way = np.abs(np.array(robot.commands[count:]) - np.clip(far, -1.0, 1.0)).max(axis=1)
     assert (way <= 0.5 + 10.0 * (np.array(robot.command_times[count:]) - since)).all()
-
-
-WITHOUT_FILE = {k: v for k, v in PATIENT.items() if k != 'robot_description_file'}
-
-
-def test_the_last_of_many_descriptions_in_a_row_is_used(run_node, robot):
-    text = STANFORD.read_text()
-    node = run_node(**WITHOUT_FILE)
-    robot.publish_description(text)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    count = len(robot.commands)
-    last = heavier(heavier(text))
-    for description in [heavier(text), text] * 5 + [last]:
-        robot.publish_again(description)
-    robot.wait_for_command(InverseDynamics(load_urdf(last)).gravity_efforts(Q))
-    assert all(np.any(command) for command in robot.commands[count:])
-    assert node.process.poll() is None
-
-
-def test_a_payload_is_kept_when_a_description_arrives_while_inactive(run_node, robot):
-    text = STANFORD.read_text()
-    tip = MODEL.link_names[-1]
-    node = run_node(**WITHOUT_FILE)
-    robot.publish_description(text)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    body = InertiaStamped(header=Header(frame_id=tip), inertia=Inertia(m=1.5))
-    robot.publish_once('inverse_dynamics/payload', body)
-    robot.wait_for_text(node, f"payload of 1.5 kg on link '{tip}'")
-    assert robot.change_state('deactivate')
-    robot.publish_description(heavier(text))
-    robot.wait_until(lambda: node.output.count("robot 'stanford'") == 2, 'the new description')
-    assert robot.change_state('activate')
-    laden = InverseDynamics(load_urdf(heavier(text)))
-    laden.set_payload(tip, 1.5)
-    robot.wait_for_command(laden.gravity_efforts(Q))
 
 
 def test_positions_are_used_if_the_number_of_measured_efforts_is_wrong(run_node, robot):

@@ -41,7 +41,7 @@ times = st.one_of(
 )
 inputs = st.sampled_from(['fresh', 'fresh', 'fresh', 'lost', 'none', 'absurd'])
 events = st.one_of(
-    st.sampled_from(['stop', 'resume', 'start', 'again', 'heavier', 'other robot']),
+    st.sampled_from(['stop', 'resume', 'start', 'again', 'heavier']),
     some_settings,
 )
 steps = st.tuples(times, inputs)
@@ -81,9 +81,6 @@ class Watched:
         elif event == 'heavier':
             ours.dynamics.set_payload(ROBOT.link_names[-1], 0.5)
             ours.blend()
-        elif event == 'other robot':
-            self.controller = Controller(InverseDynamics(ROBOT), (), ours.settings, PERIOD)
-            self.controller.continue_from(ours)
         else:
             ours.apply(Settings(**event))
 

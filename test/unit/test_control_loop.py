@@ -80,49 +80,12 @@ def test_a_dry_run_ends_what_is_sent_and_its_end_lets_it_rise_from_zero():
     assert command.sent == pytest.approx(0.5 * hold, rel=0.1)
 
 
-def test_a_dry_run_continues_with_another_description():
-    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
-    loop.start(is_dry_run=True)
-    assert loop.step(0.0).sent is None
-    other = ControlLoop(MODEL, settings=AT_ONCE)
-    other.continue_from(loop, is_active=True)
-    assert other.step(0.01).sent is None
-    assert other.dry_run.is_active
-    assert not other.dry_run.has_effort
-
-
 def test_a_start_drops_the_earlier_reference():
     loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
     loop.start()
     loop.step(0.0)
     assert loop.controller.phase is Phase.FLOATING
-
-
-def test_another_description_continues_from_the_last_command():
-    loop = report_all(ControlLoop(MODEL))
-    for now in np.arange(0.0, 1.0, 0.05):
-        report_all(loop, now)
-        loop.step(now)
-    last = loop.step(now).efforts.copy()
-    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
-    text = STANFORD.read_text().replace('"joint_6"', '"wrist"')
-    with pytest.raises(ConfigurationError, match='the commanded joints are now'):
-        ControlLoop(load_urdf(text)).continue_from(loop, is_active=True)
-    other = ControlLoop(MODEL)
-    assert other.continue_from(loop, is_active=True) == []
-    assert other.collector.missing() == []
-    assert other.loads.payloads[TIP].mass == 2.0
-    assert other.step(now).efforts == pytest.approx(last)
-
-
-def test_a_payload_on_a_link_that_no_longer_exists_is_reported():
-    loop = report_all(ControlLoop(MODEL))
-    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
-    text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
-    other = ControlLoop(load_urdf(text))
-    assert other.continue_from(loop, is_active=True) == [TIP]
-    assert other.loads.payloads == {}
 
 
 def test_the_scale_of_a_trajectory_is_that_of_the_commands():
@@ -132,46 +95,6 @@ def test_the_scale_of_a_trajectory_is_that_of_the_commands():
     efforts = loop.calibrated(index, np.array([[1.0, 10.0, 20.0], [1.0, -20.0, 0.0]]))
     assert efforts == pytest.approx(np.array([[1.0, 30.0, 40.0], [1.0, -60.0, 0.0]]))
     assert loop.beyond_limits(index, efforts) == [NAMES[1], NAMES[4]]
-
-
-def test_efforts_ramp_down_until_a_joint_that_is_new_in_the_description_is_reported():
-    # Not silence: a controller that holds the last command would hold it forever.
-    joints = NAMES[:4]
-    extra = (
-        '<link name="jaw"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
-        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="jaw" type="prismatic"><parent '
-        f'link="{TIP}"/><child link="jaw"/><limit effort="1" velocity="1"/></joint></robot>'
-    )
-    loop = report_all(ControlLoop(MODEL, joints, AT_ONCE))
-    before = np.abs(loop.step(0.0).efforts)
-    other = ControlLoop(
-        load_urdf(STANFORD.read_text().replace('</robot>', extra)), joints, AT_ONCE
-    )
-    assert other.continue_from(loop, is_active=True) == []
-    report_all(loop, 0.01)
-    commands = []
-    for now in np.arange(0.01, 0.7, 0.01):
-        store_state(other.collector, now, NAMES, Q, np.zeros(6))
-        commands.append(np.abs(other.step(now).efforts))
-    assert other.controller.phase is Phase.STATE_LOST
-    assert (np.diff([before, *commands], axis=0) <= 0.0).all()
-    assert commands[0] == pytest.approx(before)
-    assert commands[1] == pytest.approx(0.98 * before)
-    assert not commands[-1].any()
-    store_state(other.collector, now, ['jaw'], [0.0], [0.0])
-    assert other.step(now).efforts[1] != 0.0
-
-
-def test_inputs_are_kept_for_a_description_with_other_joints():
-    loop = report_all(ControlLoop(MODEL))
-    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
-    loop.loads.set_gravity((0.0, 3.0, 0.0))
-    other = ControlLoop(MODEL, NAMES[:2])
-    assert other.continue_from(loop, is_active=False) == []
-    assert other.loads.payloads[TIP].mass == 2.0
-    assert other.loads.gravity == pytest.approx([0.0, 3.0, 0.0])
-    assert other.missing() == []
-    assert other.controller.phase is Phase.WAITING
 
 
 def test_the_first_report_of_a_locked_joint_does_not_cause_a_jump():
@@ -324,16 +247,6 @@ def test_contradictory_positions_of_another_joint_do_not_move_or_stop_the_arm():
     assert efforts[0] == pytest.approx(last)
 
 
-def test_contradictory_positions_are_remembered_for_another_description():
-    loop = ControlLoop(MODEL)
-    step_with_two_publishers(loop, 0.0, 1.0, 1, 0.7)
-    other = ControlLoop(MODEL)
-    other.continue_from(loop, is_active=True)
-    assert not other.collector.is_consistent
-    other.step(1.0)
-    assert other.controller.phase is Phase.STATE_LOST
-
-
 def test_a_joint_cannot_be_both_commanded_and_locked():
     with pytest.raises(ConfigurationError, match=f"joint '{NAMES[2]}' is both commanded and lock"):
         ControlLoop(MODEL, NAMES, locked={NAMES[2]: 0.0})
@@ -426,16 +339,6 @@ def test_the_first_motion_of_the_base_does_not_cause_a_jump():
         last = report_all(loop, now).step(now).efforts.copy()
     loop.set_base_motion(1.0, (3.0, 0.0, 5.0), np.zeros(3))
     assert report_all(loop, 1.0).step(1.0).efforts == pytest.approx(last)
-
-
-def test_the_reference_is_followed_with_another_description():
-    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
-    loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
-    efforts = loop.step(0.0).efforts
-    other = ControlLoop(MODEL, settings=AT_ONCE)
-    other.continue_from(loop, is_active=True)
-    assert other.step(0.0).efforts == pytest.approx(efforts)
-    assert other.controller.phase is Phase.RUNNING
 
 
 def test_missing_joints_are_listed():

@@ -731,18 +731,6 @@ def test_a_state_that_returns_during_the_stop_ramp_does_not_cause_a_jump():
     assert back == pytest.approx(low)
 
 
-def test_a_new_robot_description_does_not_cause_a_jump():
-    lift = controller(start_ramp=0.5)
-    time = settled(lift)
-    heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"4"')), gravity=(0.0, 0.0, -10.0))
-    other = Controller(heavier, (), lift.settings)
-    other.continue_from(lift)
-    assert efforts_after(other, time, 0.05) == pytest.approx(HOLD)
-    assert efforts_after(other, time + 0.05, 0.5) == pytest.approx(HOLD + np.array([20.0, 0.0]))
-    with pytest.raises(ConfigurationError, match='the commanded joints are now high'):
-        Controller(heavier, ['high']).continue_from(lift)
-
-
 @pytest.mark.parametrize('every', [1, 2, 10])
 def test_feedback_acts_in_full_while_gains_change_all_the_time(every):
     ours = {'mode': Mode.COMPUTED_TORQUE, 'start_ramp': 0.5, 'kd': 0.0}
@@ -827,29 +815,6 @@ def test_the_velocity_filter_recovers_from_absurd_velocities():
     assert lift.step(0.04, joint_state(np.zeros(2), np.full(2, 0.1), 0.04), None).efforts == (
         pytest.approx(HOLD + 0.1)
     )
-
-
-def test_another_description_is_blended_in_along_the_start_ramp():
-    lift = controller(start_ramp=0.5)
-    time = settled(lift)
-    heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"3"')), gravity=(0.0, 0.0, -10.0))
-    other = Controller(heavier, (), lift.settings)
-    other.continue_from(lift)
-    other.step(time, state(time), None)
-    assert efforts_after(other, time, 0.25) == pytest.approx(HOLD + np.array([5.0, 0.0]))
-
-
-def test_a_stop_continues_with_another_description():
-    lift = controller(stop_ramp=0.2)
-    lift.step(0.0, state(0.0), None)
-    lift.stop()
-    lift.step(0.05, state(0.05), None)
-    lift.step(0.1, state(0.1), None)
-    other = Controller(lift.dynamics, (), lift.settings)
-    other.continue_from(lift)
-    assert other.is_stopping
-    assert other.step(0.15, state(0.15), None).efforts == pytest.approx(0.5 * HOLD)
-    assert other.phase is Phase.STOPPED
 
 
 def test_a_stop_lasts_until_resume_or_start():

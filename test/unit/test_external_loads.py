@@ -300,13 +300,3 @@ def test_the_motion_of_the_base_is_not_smoothed_across_a_loss(dynamics):
     loads.set_base_motion(1.0, (0.0, 0.0, 10.0), np.zeros(3))
     loads.set_base_motion(1.5, (1.0, 0.0, 11.0), np.zeros(3))
     assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
-
-
-def test_a_wrench_on_a_link_that_no_longer_exists_is_dropped(loads):
-    loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
-    text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
-    other = ExternalLoads(InverseDynamics(load_urdf(text)))
-    before = other.dynamics.gravity_efforts(Q)
-    assert other.continue_from(loads) == []
-    other.update(0.0)
-    assert other.dynamics.gravity_efforts(Q) == pytest.approx(before)

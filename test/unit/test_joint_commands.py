@@ -103,16 +103,6 @@ def test_a_continuous_joint_takes_the_shorter_way():
     assert positions == pytest.approx(TARGET)
 
 
-def test_another_description_does_not_change_what_the_drive_receives():
-    arm = Arm()
-    before, _ = arm.play(0.2, positions=TARGET, velocities=SPEED)[-1]
-    loop = ControlLoop(ARM, settings=arm.loop.controller.settings)
-    loop.continue_from(arm.loop, is_active=True)
-    arm.loop = loop
-    after, _ = arm.step(positions=TARGET, velocities=SPEED)
-    assert after == pytest.approx(before, abs=1e-15)
-
-
 def follow(arm, seconds=0.2):
     """Follow a reference; return the last positions."""
     return arm.play(seconds, positions=TARGET, velocities=SPEED)[-1][0]

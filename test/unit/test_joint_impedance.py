@@ -232,20 +232,6 @@ def test_payloads_gravity_and_friction_do_not_move_the_equilibrium():
     assert found == pytest.approx(expected.gravity_efforts(PUSHED) + K * (Q - PUSHED))
 
 
-def test_another_description_continues_to_hold_the_same_position():
-    robot = arm(SMOOTH)
-    step(robot, 0.0)
-    before = repeat(robot, 0.01, 1.0, PUSHED)
-    assert before == pytest.approx(spring(PUSHED))
-    heavier = InverseDynamics(ROBOT)
-    heavier.set_payload(ROBOT.link_names[-1], 0.5)
-    other = Controller(heavier, (), SMOOTH)
-    other.continue_from(robot)
-    assert step(other, 1.0, PUSHED) == pytest.approx(before)
-    found = repeat(other, 1.01, 2.0, PUSHED)
-    assert found == pytest.approx(heavier.gravity_efforts(PUSHED) + K * (Q - PUSHED))
-
-
 def test_a_suspension_does_not_move_the_equilibrium():
     robot = arm(SMOOTH)
     step(robot, 0.0)

@@ -263,23 +263,6 @@ def test_messages_that_never_repeat_their_names_do_not_fill_the_memory(collector
     assert used < 300_000  # bytes
 
 
-def test_another_description_continues_with_the_state_of_the_joints_it_has(collector):
-    store_state(collector, 3.0, ['shoulder', 'elbow', 'wrist'], [1.0, 2.0, 3.0], [0.1, 0.2, NAN])
-    other = JointStateCollector(['elbow', 'wrist'])
-    other.continue_from(collector)
-    state = other.state()
-    assert (state.q.tolist(), state.qd.tolist(), state.time) == ([2.0, 3.0], [0.2, 0.0], 3.0)
-    assert other.without_velocity() == ['wrist']
-
-
-def test_another_description_keeps_its_own_locked_positions():
-    names = ['arm', 'finger']
-    collector = JointStateCollector(names, {'finger': 0.02})
-    other = JointStateCollector(names, {'finger': 0.03})
-    other.continue_from(collector)
-    assert other.q[1] == 0.03
-
-
 HAND = ['arm', 'finger', 'thumb']
 
 

@@ -358,15 +358,6 @@ def test_efforts_that_are_held_do_not_contain_damping():
     assert arm.controller.phase is Phase.STATE_LOST
 
 
-def test_another_description_continues_the_stop():
-    arm = Arm()
-    last = arm.stop(0.5)[-1]
-    other = Controller(InverseDynamics(ROBOT), (), arm.controller.settings)
-    other.continue_from(arm.controller)
-    arm.controller = other
-    assert arm.step() == pytest.approx(last, rel=0.01)
-
-
 def test_a_start_does_not_continue_the_damping():
     arm = Arm()
     arm.stop(0.1)
