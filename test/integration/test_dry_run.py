@@ -119,39 +119,6 @@ def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, rob
     assert '(dry run: nothing to ramp down)' in node.output
 
 
-def test_a_dry_run_interrupts_a_ramp_neither_up_nor_down(run_node, robot):
-    node = run_node(**{**RAMPED, 'start_ramp': 0.0, 'stop_ramp': 1.0})
-    robot.listen_to_joint_efforts()
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    robot.commands.clear()
-    robot.set_parameter('dry_run', True)
-    robot.wait_until(
-        lambda: abs(robot.commands[-1][1]) < 0.9 * abs(HOLD[1]) if robot.commands else False,
-        'falling commands',
-    )
-    robot.set_parameter('dry_run', False)
-    robot.wait_for_text(node, 'end of the dry run')
-    robot.wait_for_command(HOLD)
-    commands = np.abs(np.array(robot.commands)).max(axis=1)
-    assert commands.min() == 0.0
-    lowest = int(np.argmin(commands))
-    assert (np.diff(commands[:lowest]) <= 1e-12).all()
-
-    # The process ends during the fall: the commands continue to fall from where they are.
-    robot.commands.clear()
-    robot.set_parameter('dry_run', True)
-    robot.wait_until(
-        lambda: abs(robot.commands[-1][1]) < 0.7 * abs(HOLD[1]) if robot.commands else False,
-        'falling commands',
-    )
-    node.interrupt()
-    assert robot.wait_for_end(node) == 0
-    robot.wait_for_command(ZERO, tolerance=0.0)
-    assert (np.diff(np.abs(np.array(robot.commands)), axis=0) <= 1e-12).all()
-    assert 'stopped, zeros sent' in node.output
-
-
 def test_remapped_joint_efforts_are_commands_in_a_dry_run(run_node, robot):
     """A robot may receive its commands by name, as in Isaac Sim."""
     node = run_node('-r', '~/joint_efforts:=/joint_command', **RAMPED, dry_run=True)

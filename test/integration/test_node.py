@@ -158,24 +158,6 @@ def test_a_lost_state_leads_to_zeros_that_continue(run_node, robot, update_rate)
     robot.wait_for_command(HOLD)
 
 
-def test_efforts_rise_along_the_start_ramp(run_node, robot):
-    ramp = 1.0
-    run_node(**{**PATIENT, 'start_ramp': ramp})
-    publish_shuffled_state(robot)
-    # At first, the robot may receive commands long after they begin.
-    robot.wait_for_command(HOLD)
-    assert robot.change_state('deactivate')
-    robot.wait_for_command(np.zeros(6), tolerance=0.0)
-    count, since = len(robot.commands), time.monotonic()
-    assert robot.change_state('activate')
-    robot.wait_for_command(HOLD)
-    fractions = np.array(robot.commands[count:]) @ HOLD / (HOLD @ HOLD)
-    times = np.array(robot.command_times[count:])
-    assert (fractions < 0.1 + (times - since) / ramp).all()
-    assert (np.diff(fractions) >= 0.0).all()
-    assert ((fractions > 0.01) & (fractions < 0.99)).any()
-
-
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize('update_rate', [0, 1000])
 def test_signal_ends_with_zeros_and_code_0(run_node, robot, number, update_rate):
@@ -442,14 +424,6 @@ def test_computed_torque_drives_back_to_the_reference(run_node, robot):
     robot.wait_for_command(DYNAMICS.efforts(Q, QD, qdd))
 
 
-def test_computed_torque_does_not_start_with_a_jump(run_node, robot):
-    node = run_node(**PATIENT, mode='computed_torque', max_position_jump=0.1)
-    publish_shuffled_state(robot)
-    robot.publish_reference(NAMES, QDD, positions=Q + 0.2, velocities=QD)
-    robot.wait_for_text(node, 'jumps too far (max_position_jump: 0.1 rad or m)')
-    robot.wait_for_command(HOLD)
-
-
 def test_joint_impedance_holds_the_arm_and_follows_the_reference(run_node, robot):
     node = run_node(**PATIENT, mode='joint_impedance', stiffness=50, impedance_damping=4)
     publish_shuffled_state(robot)
@@ -466,30 +440,6 @@ def test_joint_impedance_holds_the_arm_and_follows_the_reference(run_node, robot
     robot.publish_reference(NAMES, QDD, positions=q_ref, velocities=qd_ref)
     model = DYNAMICS.efforts(moved, QD, QDD)
     robot.wait_for_command(model + stiffness * (q_ref - moved) + 4.0 * (qd_ref - QD))
-
-
-def test_a_guided_arm_switches_to_joint_impedance_without_a_step(run_node, robot):
-    settings = {**PATIENT, 'start_ramp': 2.0, 'use_urdf_effort_limits': False}
-    run_node(
-        **settings,
-        mode='gravity_compensation',
-        include_friction=True,
-        damping=3,
-        coulomb=0,
-        friction_scale=0.5,
-        guiding_damping=20,
-        impedance_damping=0,
-    )
-    publish_shuffled_state(robot)
-    guided = DYNAMICS.gravity_efforts(Q) + (0.5 * 3.0 - 20.0) * QD
-    robot.wait_for_command(guided)
-    robot.commands.clear()
-    assert robot.set_parameter('mode', 'joint_impedance').successful
-    held = HOLD + 3.0 * QD
-    robot.wait_for_command(held)
-    # A busy machine may lose some of the 200 commands of the blend.
-    steps = np.abs(np.diff(robot.commands, axis=0)).max(axis=0)
-    assert (steps <= 0.2 * np.abs(held - guided) + 1e-9).all(), steps
 
 
 def test_friction_and_armature_are_added_on_request(run_node, robot):

@@ -9,15 +9,12 @@ import time
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
-from rcl_interfaces.srv import SetParameters
 import rclpy.lifecycle.node
 import rclpy.node
-from rclpy.parameter import Parameter
 from robot_files import ROOT, STANFORD
 from robot_side import RATE
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 MODEL = load_urdf(STANFORD)
@@ -239,159 +236,6 @@ def test_only_the_first_point_of_a_reference_is_used(run_node, robot):
     robot.wait_for_command(HOLD)
 
 
-def heavier(text):
-    return re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', text)
-
-
-def test_another_description_replaces_the_first_without_a_jump(run_node, robot):
-    text = STANFORD.read_text()
-    other = InverseDynamics(load_urdf(heavier(text)))
-    node = run_node(**{k: v for k, v in RAMPED.items() if k != 'robot_description_file'})
-    robot.publish_description(text)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    since = time.monotonic()
-    robot.publish_description(heavier(text))
-    robot.wait_for_command(other.gravity_efforts(Q))
-    assert_ramped(robot, since, HOLD, other.gravity_efforts(Q) - HOLD)
-    robot.wait_until(lambda: node.output.count("robot 'stanford'") == 2, 'both in the log')
-
-
-@pytest.mark.parametrize(
-    ('text', 'words'),
-    [
-        ('<robot name="x">', 'kept the old robot description'),
-        ((ROOT / 'test/robots/planar_2r.urdf').read_text(), 'the commanded joints are now'),
-    ],
-)
-def test_a_description_that_cannot_be_used_leaves_the_old_one(run_node, robot, text, words):
-    node = run_node(**{k: v for k, v in PATIENT.items() if k != 'robot_description_file'})
-    robot.publish_description(STANFORD.read_text())
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    robot.publish_description(text)
-    robot.wait_for_text(node, words)
-    count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 10, 'further commands')
-    assert robot.commands[-1] == pytest.approx(list(HOLD))
-
-
-def test_changed_parameters_cause_no_jump(run_node, robot):
-    run_node(**RAMPED)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    since = time.monotonic()
-    assert robot.set_parameter('include_gravity', False).successful
-    robot.wait_for_command(ZERO)
-    assert_ramped(robot, since, HOLD, HOLD)
-
-
-def test_changed_load_friction_causes_no_jump(run_node, robot):
-    run_node(**RAMPED, include_friction=True, coulomb=1.0, coulomb_width=[0.1, 0.2, *[0.1] * 4])
-    velocities = np.array([-0.2, 0.3, -0.4, 0.1, 0.2, -0.3])
-    dynamics = InverseDynamics(load_urdf(STANFORD))
-    width = [0.1, 0.2, 0.1, 0.1, 0.1, 0.1]
-    eta = [0.9, 0.8, 0.9, 0.9, 0.9, 0.9]
-    dynamics.set_friction(coulomb=1.0, width=width)
-    before = dynamics.efforts(Q, velocities, ZERO)
-    dynamics.set_friction(coulomb=1.0, width=width, load_friction=eta)
-    after = dynamics.efforts(Q, velocities, ZERO)
-    assert np.abs(after - before).max() > 0.5 * np.abs(before).max()
-    robot.publish_state(NAMES, Q, velocities)
-    robot.wait_for_command(before)
-    since = time.monotonic()
-    assert robot.set_parameter('load_friction', eta).successful
-    robot.wait_for_command(after)
-    assert_ramped(robot, since, before, after - before)
-    result = robot.set_parameter('load_friction', [0.1, 0.2])
-    assert 'load_friction has 2 numbers, expected one, or one for each of 6' in result.reason
-    assert 'expected 1e-06 to 100' in robot.set_parameter('coulomb_width', [0.0] * 6).reason
-
-
-@pytest.mark.real_time  # what a node was too late to see is blended in
-def test_efforts_follow_the_joints_while_parameters_change_all_the_time(run_node, robot):
-    run_node(**PATIENT)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    assert robot.set_parameter('start_ramp', 60.0).successful  # a blend would be seen
-    client = robot.node.create_client(SetParameters, 'inverse_dynamics/set_parameters')
-    robot.wait_until(client.service_is_ready, 'service')
-    futures = []
-
-    def tune():
-        if not futures or futures[-1].done():
-            value = Parameter('kp', value=100.0 + len(futures) % 2).to_parameter_msg()
-            futures.append(client.call_async(SetParameters.Request(parameters=[value])))
-
-    timer = robot.node.create_timer(0.001, tune)
-    steps, seen = 0, (robot.sent, len(robot.commands))
-
-    def has_moved():
-        nonlocal steps, seen
-        now = robot.sent, len(robot.commands)
-        if now[0] > seen[0] and now[1] > seen[1]:  # a node that is late sees no jump
-            steps, seen = steps + 1, now
-        fraction = min(steps / RATE, 1.0)
-        robot.publish_state(NAMES, Q + fraction * (ELSEWHERE - Q), ZERO)
-        return fraction == 1.0 and len(futures) > 20
-
-    robot.wait_until(has_moved, '20 changes while the arm moves')
-    moved = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > moved + 3 * RATE, 'commands after the motion')
-    assert robot.commands[-1] == pytest.approx(HOLD_ELSEWHERE, rel=1e-6, abs=1e-6)
-    robot.node.destroy_timer(timer)
-
-
-def push_joint(robot, effort):
-    """Request an effort of the third joint; the others only compensate gravity."""
-    robot.publish_reference(NAMES, ZERO, [0.0, 0.0, effort - HOLD[2], 0.0, 0.0, 0.0])
-
-
-def test_a_stop_under_rate_limits_never_flips_or_enlarges_an_effort(run_node, robot):
-    node = run_node(**{**PATIENT, 'state_timeout': 3.0})
-
-    def start_to_swing():
-        """Start a slow change of the third effort from -30 to 30 N; return its first index."""
-        robot.publish_state(NAMES, Q, ZERO)
-        assert robot.set_parameter('effort_rate_limits', 0.0).successful
-        push_joint(robot, -30.0)
-        robot.wait_for_command([*HOLD[:2], -30.0, *HOLD[3:]])
-        assert robot.set_parameter('effort_rate_limits', 3.0).successful
-        since = len(robot.commands)
-        push_joint(robot, 30.0)
-        robot.wait_until(lambda: robot.commands[-1][2] > -29.9, 'the effort on its way')
-        return since
-
-    def check_fall(since):
-        efforts = np.array(robot.commands[since:])[:, 2]
-        assert efforts[-1] == 0.0
-        assert (efforts <= 0.0).all()
-        assert (np.diff(np.abs(efforts)) <= 1e-9).all()
-
-    since = start_to_swing()
-    assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
-    robot.wait_for_command(ZERO, tolerance=0.0)
-    check_fall(since)
-    assert robot.call(SetBool, 'enable', SetBool.Request(data=True)).success
-
-    since = start_to_swing()
-    robot.state = None
-    robot.wait_for_command(ZERO, tolerance=0.0)
-    check_fall(since)
-
-    since = start_to_swing()
-    assert robot.change_state('deactivate')
-    robot.wait_for_command(ZERO, tolerance=0.0)
-    check_fall(since)
-    assert robot.change_state('activate')
-
-    since = start_to_swing()
-    node.interrupt()
-    assert robot.wait_for_end(node) == 0
-    robot.wait_for_command(ZERO, tolerance=0.0)
-    check_fall(since)
-
-
 @pytest.mark.parametrize('rate', [0, 50])
 def test_the_stop_ramp_starts_when_the_loss_of_states_is_detected(run_node, robot, rate):
     run_node(**{**FAST, 'state_timeout': 1.0, 'stop_ramp': 1.0}, update_rate=rate)
@@ -405,41 +249,6 @@ def test_the_stop_ramp_starts_when_the_loss_of_states_is_detected(run_node, robo
     # A command may arrive late, but never early.
     assert (fractions[times < robot.last_state + 0.8] >= 0.9).all()
     assert ((fractions > 0.5) & (fractions < 0.99)).any()
-
-
-def test_live_changes_start_from_the_last_command(run_node, robot):
-    run_node(**RAMPED)
-    robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_for_command(HOLD)
-    far = np.array([*HOLD[:2], -30.0, *HOLD[3:]])
-
-    def wait_to_be_under_way(start):
-        robot.wait_until(lambda: abs(robot.commands[-1][2] - start) > 1.0, 'the effort on its way')
-
-    # Rate limits are removed while the effort is far behind.
-    assert robot.set_parameter('effort_rate_limits', 2.0).successful
-    push_joint(robot, -30.0)
-    wait_to_be_under_way(HOLD[2])
-    last, since = np.array(robot.commands[-1]), time.monotonic()
-    assert robot.set_parameter('effort_rate_limits', 0.0).successful
-    robot.wait_for_command(far)
-    assert_ramped(robot, since, last, far - last)
-
-    # A limit is tightened; then start_ramp is set to zero, which must not affect this blend.
-    since = time.monotonic()
-    assert robot.set_parameter('effort_limits', 1.0).successful
-    wait_to_be_under_way(-30.0)
-    assert robot.set_parameter('start_ramp', 0.0).successful
-    robot.wait_for_command(np.clip(far, -1.0, 1.0))
-    assert_ramped(robot, since, far, np.clip(far, -1.0, 1.0) - far)
-
-    # Without a ramp, only the rate limits apply.
-    assert robot.set_parameter('effort_rate_limits', 10.0).successful
-    since, count = time.monotonic(), len(robot.commands)
-    assert robot.set_parameter('effort_limits', 0.0).successful
-    wait_to_be_under_way(-1.0)
-    way = np.abs(np.array(robot.commands[count:]) - np.clip(far, -1.0, 1.0)).max(axis=1)
-    assert (way <= 0.5 + 10.0 * (np.array(robot.command_times[count:]) - since)).all()
 
 
 def test_positions_are_used_if_the_number_of_measured_efforts_is_wrong(run_node, robot):

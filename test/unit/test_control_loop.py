@@ -261,13 +261,6 @@ def test_the_base_link_is_the_root_unless_another_one_is_set():
     assert ControlLoop(robot, base_link=MODEL.body_names[0]).base_link == MODEL.body_names[0]
 
 
-def test_ramps_advance_at_the_period_of_a_slow_loop():
-    loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0), period=0.5)
-    for now in (0.0, 0.5, 1.0):
-        report_all(loop, now).step(now)
-    assert loop.controller.shaper.gain == pytest.approx(0.5)
-
-
 def test_external_efforts_are_measured_minus_modelled_efforts():
     loop = ControlLoop(MODEL)
     hold, push = InverseDynamics(MODEL).gravity_efforts(Q), np.arange(6.0)
@@ -325,14 +318,6 @@ def test_measured_efforts_are_scaled():
     assert found == pytest.approx(np.arange(6.0), abs=1e-9)
 
 
-def test_efforts_rise_from_zero_after_a_start():
-    loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.5))
-    for now in np.arange(0.0, 1.0, 0.05):
-        assert report_all(loop, now).step(now) is not None
-    loop.start()
-    assert not report_all(loop, 1.0).step(1.0).efforts.any()
-
-
 def test_the_first_motion_of_the_base_does_not_cause_a_jump():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.5))
     for now in np.arange(0.0, 1.0, 0.05):
@@ -376,15 +361,6 @@ def test_an_effort_at_the_limit_is_not_beyond_it():
     assert loop.beyond_limits([0, 1], np.array([[10.0, -10.0], [0.0, -10.5]])) == [NAMES[1]]
 
 
-def test_a_gap_in_a_loop_without_a_period_advances_the_ramps_by_one_nominal_step():
-    loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0))
-    for now in (0.0, 0.5):
-        report_all(loop, now).step(now)
-    assert loop.controller.shaper.gain == 0.0  # a blend begins
-    report_all(loop, 1.0).step(1.0)
-    assert loop.controller.shaper.gain == pytest.approx(1.25 * 0.01 / 2.0)
-
-
 ARM = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
 LEVEL = np.array([0.0, 0.9, 0.0, 0.3, 0.0, 0.2, 0.0])
 HOLD = InverseDynamics(ARM).gravity_efforts(LEVEL)
@@ -418,22 +394,6 @@ def largest_step(*efforts):
     return np.abs(np.diff(np.vstack(efforts), axis=0)).max()
 
 
-@pytest.mark.parametrize('pause', [0.15, 0.5, 5.0])
-@pytest.mark.parametrize('timeout', [0.1, 1.0])
-def test_old_joint_states_after_a_suspension_do_not_move_the_efforts(pause, timeout):
-    loop, now = held(settings=Settings(state_timeout=timeout))
-    last, later = loop.step(now).efforts.copy(), now + pause
-    efforts = []
-    for fraction in np.linspace(0.0, 1.0, 50):  # within 5 ms
-        later += 1e-4
-        report_arm(loop, later, (1.0 - fraction) * LEVEL)
-        efforts.append(loop.step(later).efforts.copy())
-    efforts += list(play_arm(loop, later, 1.0, 0.0 * LEVEL))
-    assert largest_step(last, efforts) < 1.0
-    assert efforts[-1] == pytest.approx(InverseDynamics(ARM).gravity_efforts(0.0 * LEVEL))
-    assert np.abs(efforts[-1] - last).max() > 20.0
-
-
 def test_a_full_turn_of_a_joint_that_is_not_continuous_does_not_move_the_efforts():
     settings = Settings(mode=Mode.COMPUTED_TORQUE, reference_timeout=0.0, kp=20.0)
     loop, now = held(settings=settings)
@@ -442,42 +402,6 @@ def test_a_full_turn_of_a_joint_that_is_not_continuous_does_not_move_the_efforts
     turned = LEVEL + 2.0 * np.pi * np.eye(7)[1]
     assert largest_step(last, play_arm(loop, now + 1.0, 0.5, turned)) < 4.0
     assert np.abs(loop.step(now + 1.5).efforts - last).max() > 20.0
-
-
-@pytest.mark.parametrize('timeout', [0.1, 1.0])
-def test_a_stop_does_not_catch_up_when_the_states_have_ended_with_it(timeout):
-    loop, now = held(settings=Settings(state_timeout=timeout))
-    last = loop.step(now).efforts.copy()
-    loop.controller.stop()
-    efforts = [loop.step(now + 0.001).efforts.copy()]
-    efforts += [loop.step(now + timeout + 0.01 * k).efforts.copy() for k in range(1, 60)]
-    assert largest_step(last, efforts) == pytest.approx(0.01 / 0.5 * np.abs(HOLD).max())
-    assert not efforts[-1].any()
-
-
-@pytest.mark.parametrize('pause', [0.09, 0.9])
-def test_a_start_ramp_and_a_blend_do_not_catch_up_after_a_pause_of_the_states(pause):
-    loop = ControlLoop(ARM, settings=Settings(state_timeout=1.0))
-    report_arm(loop, 10.0)
-    rising = play_arm(loop, 10.0, 0.05)
-    efforts = play_arm(loop, 10.05 + pause, 1.5)
-    assert largest_step(rising, efforts) <= 1.01 * 0.01 / 0.5 * np.abs(HOLD).max()
-    loop.controller.apply(Settings(state_timeout=1.0, effort_scale=0.0))
-    now = 10.05 + pause + 1.5
-    fading = play_arm(loop, now, 0.05)
-    later = play_arm(loop, now + 0.05 + pause, 1.5)
-    assert largest_step(efforts[-1], fading, later) <= 1.01 * 0.01 / 0.5 * np.abs(HOLD).max()
-    assert not later[-1].any()
-
-
-@pytest.mark.parametrize('jump', [0.4, 60.0, 1e4])
-def test_a_stop_ramp_does_not_catch_up_after_a_suspension_or_a_jump_of_the_clock(jump):
-    loop, now = held(settings=Settings(state_timeout=0.5))
-    loop.controller.stop()
-    falling = play_arm(loop, now, 0.1)
-    later = play_arm(loop, now + 0.1 + jump, 0.6)
-    assert largest_step(falling, later) <= 1.01 * 0.01 / 0.5 * np.abs(HOLD).max()
-    assert not later[-1].any()
 
 
 def pushed(loop, now, force):
@@ -543,13 +467,3 @@ def test_a_reference_does_not_return_after_the_clock_was_set_back():
     efforts = play_arm(loop, now - 2.0, 3.0)
     assert largest_step(efforts) < 1.0
     assert efforts[-1] == pytest.approx(HOLD)
-
-
-def test_a_rate_limit_does_not_catch_up_after_a_pause():
-    loop, now = held()
-    loop.controller.apply(Settings(state_timeout=1.0, effort_rate_limits=20.0))
-    loop.reference = Reference(np.full(7, 5.0), np.zeros(7), now)
-    before = play_arm(loop, now, 0.1)
-    loop.reference = Reference(np.full(7, 5.0), np.zeros(7), now + 0.9)
-    after = play_arm(loop, now + 1.0, 0.1)
-    assert largest_step(before, after) <= 20.0 * 0.0101

@@ -204,29 +204,6 @@ def test_efforts_reach_zero_within_timeout_and_ramp_at_any_rate():
             assert time <= timeout + 0.25 + 2.0 * period
 
 
-def test_stop_ramps_to_zero_and_start_begins_at_zero():
-    lift = controller(start_ramp=0.1, stop_ramp=0.1)
-    for t in (0.0, 0.05, 0.1):
-        lift.step(t, state(t), None)
-    lift.stop()
-    assert lift.step(0.15, state(0.15), None).efforts == pytest.approx(HOLD)
-    assert lift.step(0.2, state(0.2), None).efforts == pytest.approx(HOLD / 2)
-    assert lift.has_effort
-    assert lift.step(0.26, state(0.26), None).efforts.tolist() == [0.0, 0.0]
-    assert not lift.has_effort
-    assert lift.phase is Phase.STOPPED
-    lift.start()
-    assert lift.step(9.0, state(9.0), None).efforts.tolist() == [0.0, 0.0]
-    assert lift.step(9.05, state(9.05), None).efforts == pytest.approx(HOLD / 2)
-
-
-def test_a_stall_of_the_process_does_not_cause_a_jump():
-    lift = controller(start_ramp=0.0, stop_ramp=1.0)
-    lift.step(0.0, state(0.0), None)
-    assert lift.step(30.0, state(0.0), None).efforts == pytest.approx(HOLD)
-    assert lift.step(30.1, state(0.0), None).efforts == pytest.approx(0.9 * HOLD)
-
-
 def test_a_clock_that_jumps_back_means_a_lost_state():
     lift = controller(stop_ramp=1.0)
     lift.step(100.0, state(100.0), reference(100.0, [1.0, 1.0]))
@@ -253,17 +230,6 @@ def test_never_commands_efforts_that_are_not_finite(efforts):
     accelerations = [5e307, 0.0]
     command = lift.step(0.05, state(0.05), reference(0.05, accelerations, efforts))
     assert np.isfinite(command.efforts).all()
-
-
-def test_same_inputs_give_the_same_commands():
-    def run():
-        lift = controller(start_ramp=0.3, stop_ramp=0.3)
-        return [
-            lift.step(t, state(min(t, 0.6)), reference(0.2, [1.0, 2.0])).efforts.tolist()
-            for t in np.arange(0.0, 1.2, 0.01)
-        ]
-
-    assert run() == run()
 
 
 @pytest.mark.parametrize(
@@ -360,23 +326,6 @@ def test_a_tightened_limit_is_reached_along_the_ramp_and_the_rate_limits(is_lost
     assert efforts == [pytest.approx([wanted, wanted]) for wanted in (4.0, 3.0, 3.0)]
 
 
-def test_rate_limits_do_not_change_the_stop_ramp():
-    lift = controller(effort_rate_limits=10.0, stop_ramp=0.2)
-    for time in np.arange(0.0, 5.0, 0.05):
-        lift.step(time, state(time), None)
-    lift.stop()
-    efforts = [lift.step(t, state(t), None).efforts[0] for t in (5.0, 5.05, 5.1, 5.15, 5.2)]
-    assert efforts == pytest.approx([30.0, 22.5, 15.0, 7.5, 0.0])
-
-
-def test_a_stop_during_the_start_ramp_does_not_raise_the_efforts_first():
-    lift = controller(effort_rate_limits=10.0, stop_ramp=1.0)
-    for time in np.arange(0.0, 0.5, 0.05):
-        before = lift.step(time, state(time), None).efforts.copy()
-    lift.stop()
-    assert (lift.step(0.5, state(0.5), None).efforts <= before).all()
-
-
 def swinging(**settings):
     """Return a controller whose lower effort moves from -21 to 42 N, and the time."""
     lift = controller(effort_rate_limits=40.0, stop_ramp=0.2, **settings)
@@ -386,36 +335,6 @@ def swinging(**settings):
         command = lift.step(now, state(now), reference(now, accelerations))
     assert -5.0 < command.efforts[0] < 0.0
     return lift, now, command.efforts.copy()
-
-
-@pytest.mark.parametrize('cause', ['stop', 'lost', 'absurd'])
-def test_a_stop_never_flips_the_sign_of_an_effort(cause):
-    lift, now, last = swinging(state_timeout=0.04)
-    if cause == 'stop':
-        lift.stop()
-    received = state(now)
-    for fraction in (1.0, 0.75, 0.5, 0.25, 0.0):
-        now += 0.05
-        fresh = received if cause == 'lost' else state(now)
-        accelerations = [1e308 if cause == 'absurd' else 4.0, 0.0]
-        efforts = lift.step(now, fresh, reference(now, accelerations)).efforts
-        assert efforts == pytest.approx(fraction * last, abs=1e-9)
-    assert lift.step(now + 0.05, received, None).efforts.tolist() == [0.0, 0.0]
-
-
-def test_resuming_in_the_middle_of_a_stop_continues_from_the_last_command():
-    lift, now, last = swinging(start_ramp=0.5)
-    lift.stop()
-    for k in range(3):
-        low = lift.step(now + 0.05 * k, state(now), None).efforts.copy()
-    assert low == pytest.approx(0.5 * last)
-    lift.resume()
-    for k in range(3, 40):
-        time = now + 0.05 * k
-        efforts = lift.step(time, state(time), reference(time, [4.0, 0.0])).efforts.copy()
-        assert k > 3 or efforts == pytest.approx(low)
-        assert np.abs(efforts - low).max() <= 40.0 * 0.05 + 1e-9
-        low = efforts
 
 
 @pytest.mark.parametrize(
@@ -491,50 +410,6 @@ def test_states_that_are_slightly_late_do_not_weaken_the_feedback(policy):
     assert efforts == pytest.approx(HOLD + np.array([1.5, 0.5]))
 
 
-def test_a_blend_continues_after_a_brief_stop():
-    lift = controller(start_ramp=0.5, stop_ramp=0.1)
-    time = settled(lift)
-    lift.apply(Settings(start_ramp=0.5, stop_ramp=0.1, effort_scale=0.2))
-    efforts_after(lift, time, 0.2)
-    lift.stop()
-    lift.step(time + 0.21, state(time), None)
-    low = lift.step(time + 0.23, state(time), None).efforts.copy()
-    lift.resume()
-    assert lift.step(time + 0.23, state(time + 0.23), None).efforts == pytest.approx(low)
-    assert efforts_after(lift, time + 0.23, 0.5) == pytest.approx(0.2 * HOLD)
-
-
-def test_a_change_during_a_brief_stop_is_blended():
-    lift = controller(start_ramp=0.5, stop_ramp=0.5)
-    time = settled(lift)
-    lift.stop()
-    lift.step(time + 0.01, state(time), None)
-    lift.apply(Settings(start_ramp=0.5, effort_scale=0.5))
-    lift.resume()
-    assert efforts_after(lift, time + 0.01, 0.01, 0.01) == pytest.approx(HOLD)
-
-
-def test_a_stop_ramp_under_way_keeps_its_time():
-    lift = controller(stop_ramp=0.2)
-    lift.step(0.0, state(0.0), None)
-    lift.stop()
-    lift.step(0.05, state(0.05), None)
-    lift.apply(Settings(start_ramp=0.0, stop_ramp=0.0))
-    assert lift.step(0.15, state(0.15), None).efforts == pytest.approx(0.5 * HOLD)
-
-
-def test_steps_that_are_always_late_still_end_the_stop_ramp():
-    lift = controller(stop_ramp=0.2, state_timeout=0.03)
-    lift = Controller(lift.dynamics, (), lift.settings)  # one command for every joint state
-    lift.step(0.0, state(0.0), None)
-    lift.stop()
-    efforts = [lift.step(now, state(now), None).efforts[0] for now in 2.0 * np.arange(1, 14)]
-    drops = -np.diff(efforts)
-    assert drops[0] == pytest.approx(1.25 * 0.01 / 0.2 * 30.0)
-    assert (drops <= 1.25 * np.array([1.5, *drops[:-1]]) + 1e-9).all()
-    assert efforts[-1] == 0.0
-
-
 def test_the_time_to_fall_is_what_is_left_of_a_stop_ramp():
     lift = controller(stop_ramp=0.5)
     lift.step(0.0, state(0.0), None)
@@ -550,19 +425,6 @@ def test_the_time_to_fall_is_what_is_left_of_a_stop_ramp():
     lift.resume()
     lift.step(1.4, state(1.4), None)
     assert lift.shaper.time_to_fall == 9.0
-
-
-def test_efforts_held_since_a_stop_ramp_began_stay_where_they_are():
-    lift = controller(stop_ramp=0.2)
-    lift.step(0.0, state(0.0), None)
-    lift.step(0.11, state(0.0), None)
-    assert lift.step(0.21, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
-    lift.apply(Settings(stop_ramp=0.2, on_stale_state=StalePolicy.HOLD))
-    for now in (0.3, 0.4, 1.0):
-        assert lift.step(now, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
-    lift.apply(Settings(stop_ramp=0.2))
-    assert lift.step(1.1, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
-    assert lift.step(1.2, state(0.0), None).efforts == pytest.approx(0.25 * HOLD)
 
 
 def test_the_velocity_filter_uses_the_arrival_times_of_each_joint():
@@ -665,33 +527,6 @@ def efforts_after(lift, time, seconds, period=0.05):
     return efforts.copy()
 
 
-def test_new_settings_do_not_cause_a_jump_and_apply_after_the_ramp():
-    lift = controller(start_ramp=0.5)
-    time = settled(lift)
-    lift.apply(Settings(start_ramp=0.5, effort_scale=0.5))
-    assert lift.step(time, state(time), None).efforts == pytest.approx(HOLD)
-    assert efforts_after(lift, time, 0.25) == pytest.approx(0.75 * HOLD)
-    assert efforts_after(lift, time + 0.25, 0.25) == pytest.approx(0.5 * HOLD)
-
-
-def test_a_change_of_gravity_is_blended_after_a_call_of_blend():
-    lift = controller(start_ramp=0.5)
-    time = settled(lift)
-    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
-    lift.blend()
-    assert efforts_after(lift, time, 0.05) == pytest.approx(HOLD)
-    assert efforts_after(lift, time + 0.05, 0.25) == pytest.approx(0.75 * HOLD)
-
-
-def test_a_blend_during_a_blend_starts_from_the_last_command():
-    lift = controller(start_ramp=0.5)
-    time = settled(lift)
-    lift.apply(Settings(start_ramp=0.5, effort_scale=0.0))
-    last = efforts_after(lift, time, 0.3)
-    lift.apply(Settings(start_ramp=0.5, effort_scale=1.0))
-    assert efforts_after(lift, time + 0.3, 0.05) == pytest.approx(last)
-
-
 def test_the_first_command_after_a_stall_equals_the_last_one():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
@@ -701,34 +536,6 @@ def test_the_first_command_after_a_stall_equals_the_last_one():
     low = efforts_after(lift, now, 0.2)  # old messages may still arrive
     assert (low > 0.6 * HOLD).all()
     assert efforts_after(lift, now + 0.2, 0.5) == pytest.approx(0.4 * HOLD)
-
-
-def test_the_stop_ramp_starts_from_the_last_command_if_a_stall_made_the_state_stale():
-    lift = controller(start_ramp=0.5, stop_ramp=0.2)
-    time = settled(lift)
-    now = time + 20.0
-    assert lift.step(now, state(time), None).efforts == pytest.approx(HOLD)
-    assert lift.phase is Phase.STATE_LOST
-    assert lift.step(now + 0.1, state(time), None).efforts == pytest.approx(0.5 * HOLD)
-    assert lift.step(now + 0.2, state(time), None).efforts == pytest.approx(0.0 * HOLD)
-
-
-def test_a_clock_that_is_set_back_does_not_cause_a_jump():
-    lift = controller(start_ramp=0.5)
-    settled(lift)
-    lift.dynamics.set_gravity((0.0, 0.0, -4.0))
-    assert lift.step(0.1, state(0.1), None).efforts == pytest.approx(HOLD)
-
-
-def test_a_state_that_returns_during_the_stop_ramp_does_not_cause_a_jump():
-    lift = controller(start_ramp=0.5, stop_ramp=1.0)
-    time = settled(lift)
-    for now in time + np.array([0.05, 0.1, 0.15, 0.2]):
-        low = lift.step(now, state(time), None).efforts.copy()
-    assert lift.phase is Phase.STATE_LOST
-    lift.dynamics.set_gravity((0.0, 0.0, -4.0))
-    back = lift.step(now, state(now), None).efforts
-    assert back == pytest.approx(low)
 
 
 @pytest.mark.parametrize('every', [1, 2, 10])
@@ -848,21 +655,6 @@ def test_a_start_waits_for_a_state_even_after_earlier_ones():
     assert lift.step(0.01, None, None) is None
 
 
-@pytest.mark.parametrize(
-    'settings', [{'on_stale_state': StalePolicy.HOLD}, {'stop_ramp': 20.0}], ids=['hold', 'fall']
-)
-def test_efforts_that_changed_while_states_were_lost_are_blended_in(settings):
-    lift = controller(start_ramp=0.5, **settings)
-    time = settled(lift)
-    for k in range(1, 41):
-        last = lift.step(time + 0.01 * k, state(time), None).efforts.copy()
-    assert lift.phase is Phase.STATE_LOST
-    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
-    now = time + 0.41
-    assert lift.step(now, state(now), None).efforts == pytest.approx(last)
-    assert lift.phase is Phase.FLOATING
-
-
 def test_a_limit_tightened_during_a_stop_is_reached_slowly_if_the_efforts_are_then_held():
     lift = controller(start_ramp=0.5, stop_ramp=1.0)
     time = settled(lift)
@@ -922,37 +714,6 @@ def test_absurd_references_do_not_print_warnings_in_the_loop():
     lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.0)
     lift.step(0.0, state(0.0), tracking(0.0, [1.7e308, 0.0], [-1.7e308, 0.0]))
     assert lift.phase is Phase.NO_SOLUTION
-
-
-def test_the_gain_rises_along_the_start_ramp():
-    lift = controller(start_ramp=0.5)
-    assert lift.shaper.gain == 0.0
-    for now in (0.0, 0.05, 0.1):
-        lift.step(now, state(now), None)
-    assert lift.shaper.gain == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize('policy', StalePolicy)
-def test_efforts_that_change_during_40_ms_without_states_are_blended_in(policy):
-    lift = controller(start_ramp=0.5, stop_ramp=20.0, on_stale_state=policy)
-    time = settled(lift)
-    for lost in (0.11, 0.13):
-        last = lift.step(time + lost, state(time), None).efforts.copy()
-    assert lift.phase is Phase.STATE_LOST
-    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
-    assert lift.step(time + 0.15, state(time + 0.15), None).efforts == pytest.approx(last)
-
-
-def test_efforts_that_change_while_they_are_held_and_then_stopped_are_blended_in():
-    lift = controller(start_ramp=0.5, stop_ramp=20.0, on_stale_state=StalePolicy.HOLD)
-    time = settled(lift)
-    for k in range(10, 30):
-        lift.step(time + 0.01 * k, state(time), None)
-    lift.stop()
-    last = lift.step(time + 0.3, state(time), None).efforts.copy()
-    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
-    lift.resume()
-    assert lift.step(time + 0.31, state(time + 0.31), None).efforts == pytest.approx(last)
 
 
 def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
@@ -1085,3 +846,38 @@ def test_a_state_is_fresh_until_the_end_of_its_timeout():
     lift = controller(state_timeout=0.125)
     lift.step(0.125, state(0.0), None)
     assert lift.phase is Phase.FLOATING
+
+
+def test_same_inputs_give_the_same_commands():
+    def run():
+        lift = controller(start_ramp=0.3, stop_ramp=0.3)
+        return [
+            lift.step(t, state(min(t, 0.6)), reference(0.2, [1.0, 2.0])).efforts.tolist()
+            for t in np.arange(0.0, 1.2, 0.01)
+        ]
+
+    assert run() == run()
+
+
+def test_efforts_held_since_a_stop_ramp_began_stay_where_they_are():
+    lift = controller(stop_ramp=0.2)
+    lift.step(0.0, state(0.0), None)
+    lift.step(0.11, state(0.0), None)
+    assert lift.step(0.21, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
+    lift.apply(Settings(stop_ramp=0.2, on_stale_state=StalePolicy.HOLD))
+    for now in (0.3, 0.4, 1.0):
+        assert lift.step(now, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
+    lift.apply(Settings(stop_ramp=0.2))
+    assert lift.step(1.1, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
+    assert lift.step(1.2, state(0.0), None).efforts == pytest.approx(0.25 * HOLD)
+
+
+@pytest.mark.parametrize('policy', StalePolicy)
+def test_efforts_that_change_during_40_ms_without_states_are_blended_in(policy):
+    lift = controller(start_ramp=0.5, stop_ramp=20.0, on_stale_state=policy)
+    time = settled(lift)
+    for lost in (0.11, 0.13):
+        last = lift.step(time + lost, state(time), None).efforts.copy()
+    assert lift.phase is Phase.STATE_LOST
+    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
+    assert lift.step(time + 0.15, state(time + 0.15), None).efforts == pytest.approx(last)

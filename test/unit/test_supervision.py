@@ -125,10 +125,3 @@ def test_losses_in_quick_succession_add_up_and_are_forgotten_after_a_while():
     assert not states.at(111.0)
     assert states.at(111.1, age=0.2)
     assert not states.at(111.1, gain=0.96)
-
-
-def test_the_first_state_of_a_joint_that_a_new_description_has_ends_the_loss():
-    states = Supervised()
-    assert states.at(110.0, age=None)
-    assert states.at(110.5, gain=0.2, age=None)
-    assert not states.at(111.0, gain=0.1)
