@@ -74,7 +74,6 @@ sys.exit(main.main(sys.argv))
     'where',
     [
         'inputs.Inputs._on_reference',
-        'runner.LoopRunner._explain',
         'runner.LoopRunner.step',
         'status_publisher.StatusPublisher._on_timer',
         'runner.LoopRunner._on_watch',

@@ -490,93 +490,6 @@ def test_contradictory_positions_are_an_error_with_the_publishers(loop):
     assert f'{words} ({question})' in activity(0.1, loop)
 
 
-<<<<<<< HEAD
-def test_activity_names_a_joint_that_only_a_new_description_has(loop):
-    link = ROBOT.link_names[-1]
-    extra = (
-        f'<link name="jaw"/><joint name="jaw" type="continuous"><parent link="{link}"/>'
-        '<child link="jaw"/></joint></robot>'
-    )
-    text = (ROOT / 'test/robots/planar_2r.urdf').read_text().replace('</robot>', extra)
-    other = ControlLoop(load_urdf(text), JOINTS)
-    other.continue_from(loop, is_active=True)
-    other.step(0.01)
-    assert activity(0.01, other).endswith('no joint state of jaw yet')
-=======
-def test_no_command_is_late_without_a_period(loop):
-    monitor = Monitor()
-    for now in (0.0, 0.0, 1.0):
-        monitor.step(now, 1e-4, command(), JOINTS)
-    values = part(monitor.report(1.0, loop, FINE), 'loop').values
-    assert values['overruns'] == '0'
-    assert values['rate [Hz]'] == '2.0'
-    assert values['requested rate [Hz]'] == 'that of the joint states'
-
-
-def test_a_command_that_is_late_by_half_a_period_is_not_an_overrun():
-    monitor = Monitor(2.0)
-    for now in (0.0, 3.0, 6.5):
-        monitor.step(now, 1e-4, command(), JOINTS)
-    assert monitor.overruns == 1
-
-
-def test_a_loop_without_commands_yet_is_not_slow(loop):
-    assert part(Monitor(0.01).report(0.0, loop, FINE), 'loop').level is Level.OK
-
-
-def test_rejected_messages_are_listed_with_their_numbers(loop):
-    monitor = Monitor()
-    for _ in range(3):
-        monitor.reject('imu', 'broken')
-    assert part(monitor.report(0.0, loop, FINE), 'messages').values == {'imu: broken': '3'}
-
-
-def test_other_nodes_are_listed(loop):
-    others = others_of()
-    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
-    assert list(values.values()) == ['/commands', 'none', 'none', '0']
-    others = others_of(('/bridge',), ('/rival',), 3)
-    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
-    assert list(values.values()) == ['/commands', '/bridge', '/rival', '3']
-
-
-def test_the_clock_and_the_numbers_of_nodes_are_reported(loop):
-    clock = ClockStatus(Level.OK, 'simulated time advances', 12.5, 0.25, 4)
-    around = FINE._replace(receivers=2, publishers=3, clock=clock)
-    statuses = Monitor().report(0.0, loop, around)
-    assert list(part(statuses, 'clock').values.values()) == ['12.500', '0.2', '4']
-    assert part(statuses, 'efforts').values['receivers'] == '2'
-    assert part(statuses, 'joint states').values['publishers'] == '3'
-
-
-@pytest.mark.parametrize(('count', 'end'), [(5, '/n4'), (6, '/n4 and 1 more')])
-def test_a_few_nodes_are_all_named(loop, count, end):
-    others = others_of(tuple(f'/n{k}' for k in range(count)))
-    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
-    assert any(value.endswith(end) for value in values.values())
-
-
-@pytest.mark.parametrize(('is_active', 'level'), [(True, Level.ERROR), (False, Level.WARN)])
-def test_joints_that_were_never_reported_are_named(is_active, level):
-    loop = ControlLoop(ROBOT, period=0.05)
-    loop.step(0.0)
-    around = FINE._replace(is_active=is_active)
-    status = part(Monitor().report(0.0, loop, around), 'joint states')
-    assert status.level is level
-    assert ', '.join(JOINTS) in status.message
-    assert status.values['age [s]'] == 'never'
-
-
-def test_lost_states_are_not_an_error_while_inactive(loop):
-    step_until(loop, 0.0, 0.5)
-    store_state(loop.collector, 0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    loop.step(0.5)
-    for is_active, level in ((True, Level.ERROR), (False, Level.WARN)):
-        around = FINE._replace(is_active=is_active)
-        assert part(Monitor().report(0.5, loop, around), 'joint states').level is level
->>>>>>> ad354d0 (Use a new robot description at the next configuration)
-
-
 def test_locked_and_late_joints_are_named():
     robot = load_urdf(STANFORD)
     names = robot.joint_names
@@ -584,7 +497,6 @@ def test_locked_and_late_joints_are_named():
     q = [0.0, 0.0, 0.5, 0.0, 0.0]
     store_state(loop.collector, 0.0, [*names[:4], names[5]], q, [0.0] * 5)
     loop.step(0.0)
-<<<<<<< HEAD
     found = part('joint states', loop)
     assert (found.level, 'locked' in found.message) == (WARN, True)
     assert found.values['locked, never reported'] == names[4]
@@ -594,103 +506,6 @@ def test_locked_and_late_joints_are_named():
     found = part('joint states', loop, 9.0)
     assert found.level is WARN
     assert found.values['late, not commanded'] == names[5]
-=======
-    status = part(Monitor().report(0.05, loop, FINE), 'joint states')
-    assert status.level is Level.WARN
-    assert 'locked' in status.message
-    assert status.values['age [s]'] == '0.050'
-    assert status.values['locked, never reported'] == names[4]
-    assert status.values['late, not commanded'] == 'none'
-    assert status.values['without velocity'] == 'none'
-    store_state(loop.collector, 9.0, names[:4], q[:4], [0.0] * 4)
-    loop.step(9.0)
-    status = part(Monitor().report(9.0, loop, FINE), 'joint states')
-    assert status.level is Level.WARN
-    assert status.values['late, not commanded'] == names[5]
-
-
-def test_the_reference_is_judged_by_its_use(loop):
-    rest = np.zeros(2)
-    assert part(Monitor().report(0.05, loop, FINE), 'reference').values['age [s]'] == 'never'
-    loop.reference = Reference(rest, rest, 0.02)
-    loop.step(0.05)
-    status = part(Monitor().report(0.05, loop, FINE), 'reference')
-    assert (status.level, status.message) == (Level.OK, 'followed')
-    assert status.values == {'age [s]': '0.030', 'timeout [s]': '0.5', 'mode': 'inverse_dynamics'}
-    loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE))
-    loop.reference = Reference(rest, rest, 0.05, positions=rest + 3.0)
-    loop.step(0.06)
-    status = part(Monitor().report(0.06, loop, FINE), 'reference')
-    assert status.level is Level.WARN
-    assert 'too far away' in status.message
-    loop.controller.stop()
-    loop.step(0.07)
-    status = part(Monitor().report(0.07, loop, FINE), 'reference')
-    assert (status.level, status.message) == (Level.OK, 'disabled')
-
-
-def test_the_model_is_described(loop):
-    status = part(Monitor().report(0.05, loop, FINE), 'model')
-    assert status.level is Level.OK
-    assert ROBOT.name in status.message
-    assert status.values['payload'] == 'none'
-    assert status.values['gravity [m/s^2]'].endswith('-9.807')
-    loop.loads.set_payload(ROBOT.link_names[-1], 2.5, [0.1, 0.0, 0.0], np.zeros((3, 3)))
-    loop.loads.apply(loop.loads.settings, include_gravity=False)
-    values = part(Monitor().report(0.05, loop, FINE), 'model').values
-    assert values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
-    assert values['payload com [m]'] == '0.1, 0, 0'
-    assert values['gravity [m/s^2]'] == 'not included'
-    assert values['gravity in the root link [m/s^2]'].endswith('-9.807')
-
-
-def test_what_measured_efforts_contain_is_described(loop):
-    def values():
-        return part(Monitor().report(0.05, loop, FINE), 'efforts').values
-
-    assert values()['measured efforts contain gravity'] == 'yes'
-    assert values()['scale of the measured efforts'] == '1, 1'
-    loop.loads.apply(loop.loads.settings, include_gravity=False)
-    loop.external_effort_estimator.scale[:] = -1.0, 0.5
-    assert values()['measured efforts contain gravity'] == 'no'
-    assert values()['scale of the measured efforts'] == '-1, 0.5'
-    loop.measured_gravity = MeasuredGravity.INCLUDED
-    assert values()['measured efforts contain gravity'] == 'yes'
-
-
-def test_warnings_about_the_description_are_listed():
-    warnings = tuple(ModelWarning(text, 'hint') for text in ('first', 'second'))
-    robot = dataclasses.replace(ROBOT, warnings=warnings)
-    status = part(Monitor().report(0.0, ControlLoop(robot), FINE), 'model')
-    assert status.level is Level.WARN
-    assert status.message.startswith('2 warnings')
-    assert status.values['robot'] == ROBOT.name
-    assert status.values['warning 1'] == 'first'
-    assert status.values['warning 2'] == 'second'
-
-
-def test_a_lost_imu_is_an_error_until_it_returns():
-    loop = ControlLoop(ROBOT, has_imu=True)
-    loop.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
-    assert part(Monitor().report(0.1, loop, FINE), 'model').level is Level.OK
-    status = part(Monitor().report(0.5, loop, FINE), 'model')
-    assert status.level is Level.ERROR
-    assert status.message.endswith('no message on imu for more than 0.2 s')
-
-
-def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
-    loop.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
-    loop.step(0.01)
-    assert activity(0.01, loop).endswith(
-        'no finite efforts for this joint state and reference: '
-        "the acceleration of joint 'shoulder' is 1.7e+308"
-    )
-    loop.reference = None
-    step_until(loop, 0.05, 0.5)
-    store_state(loop.collector, 0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    loop.step(0.5)
-    assert 'efforts rise again after joint states have arrived for 0.2 s' in activity(0.5, loop)
->>>>>>> ad354d0 (Use a new robot description at the next configuration)
 
 
 def test_loads_and_what_measured_efforts_contain_are_described(loop):
