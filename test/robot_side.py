@@ -76,7 +76,7 @@ class RobotSide:
         )
         self._reference = create_publisher(JointTrajectory, 'inverse_dynamics/reference', 10)
         self._command_topic = self.node.create_subscription(
-            Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 1000
+            Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 100
         )
         self._always = []
         self._timer = self.node.create_timer(1.0 / RATE, self._on_timer)

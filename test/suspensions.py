@@ -28,7 +28,6 @@ PARAMETERS = {
     'robot_description_file': FILE,
     # No command is lost while this process waits for the machine.
     f'qos_overrides./{TOPIC}.publisher.depth': 1000,
-    'qos_overrides./inverse_dynamics/commands.publisher.depth': 1000,
 }
 ALLOWED = 1.0  # of the step that a blend over twice the largest effort explains
 RAMP = 0.5  # [s]; default of start_ramp

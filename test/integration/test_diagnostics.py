@@ -1,6 +1,7 @@
 """What the node reports about itself, its inputs and other nodes: diagnostics and log."""
 
 import math
+import re
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -84,7 +85,7 @@ def test_a_description_that_arrives_later_is_used_at_the_next_configuration(
     assert robot.change_state('cleanup')
     assert not robot.change_state('configure')
     robot.wait_for_text(node, 'links, expected at most 1000')
-    heavier = text.replace('<mass value="', '<mass value="1')
+    heavier = re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', text)
     robot.publish_again(heavier)
     robot.wait_until(lambda: robot.change_state('configure'), 'configuration')
     assert robot.change_state('activate')

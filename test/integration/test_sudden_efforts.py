@@ -6,16 +6,7 @@ import time
 import numpy as np
 import pytest
 from std_srvs.srv import SetBool
-from suspensions import (
-    ALLOWED,
-    GROWTH,
-    largest_step,
-    move,
-    NAMES,
-    NOMINAL,
-    PARAMETERS,
-    RAMP,
-)
+from suspensions import ALLOWED, FILE, largest_step, MODEL, move, NAMES, PARAMETERS
 
 Q = np.array([0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0])
 ZERO = np.zeros(7)
@@ -32,10 +23,9 @@ def test_no_effort_jumps_after_a_suspension_while_the_arm_moves(run_node, robot,
 
 @pytest.mark.parametrize('stop', ['enable', 'dry_run', 'enable, dry_run'])
 def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_node, robot, stop):
-    timeouts = {'state_timeout': 60.0, 'start_ramp': 0.0, 'stop_ramp': RAMP}
-    node = run_node(**PARAMETERS, **timeouts)
+    node = run_node(robot_description_file=FILE, state_timeout=60.0, start_ramp=0.0, stop_ramp=0.5)
     robot.publish_state(NAMES, Q, ZERO)
-    robot.wait_until(lambda: len(robot.commands) > 50 and np.any(robot.commands[-1]), 'commands')
+    robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
     top, count = np.array(robot.commands[-1]), len(robot.commands)
     robot.state = None  # as at an emergency stop
     if 'enable' in stop:
@@ -49,6 +39,8 @@ def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_no
         (left,) = re.findall(r'the commands end after the stop ramp \((.*) s\)', node.output)
         assert float(left) < 0.5
     assert time.monotonic() < robot.last_state + 60.0  # before the states are lost
-    steps = np.abs(np.diff(robot.commands[count - 1 :], axis=0))
-    usual = max(NOMINAL, np.diff(robot.command_times[:count]).max())
-    assert (steps <= GROWTH * usual / RAMP * np.abs(top) + 1e-9).all()
+    commands = np.array(robot.commands[count - 1 :])
+    steps = np.abs(np.diff(commands, axis=0))
+    # A ramp advances by 2 % at a time; not every command arrives.
+    assert (steps <= 0.15 * np.abs(top) + 1e-9).all()
+    assert (steps.max(axis=0) < 0.05 * MODEL.effort_limits).all()
