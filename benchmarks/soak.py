@@ -3,7 +3,7 @@ Runs the node for a long time while all its inputs change.
 
 Joint states arrive without pause. References, payloads, wrenches, gravity, trajectories
 and parameters change. The program reads all outputs, most of them in turn. For each
-quarter of the time, it prints latencies, gaps, memory, threads and open files, as a table for
+quarter of the time, it prints gaps, memory, threads and open files, as a table for
 doc/evidence/reliability.md. It fails if
 
 - a command is incomplete, not finite or beyond its limits;
@@ -22,7 +22,6 @@ import math
 import os
 from pathlib import Path
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -68,8 +67,6 @@ MOST_GROWTH = 20.0  # [MB]; largest growth of memory, to the last quarter
 GAP = 0.1  # [s]; longer times between commands are counted as gaps
 LONGEST_GAP = 0.5  # [s]; largest excess of a gap over the longest gap of the joint states
 PATIENCE = 60.0  # [s]; time limit for the start and the end of the node
-NUMBERS = 1000  # number of joint states that can be distinguished by their measured efforts
-STEP = 1000.0  # [N m]; between the measured efforts of successive joint states
 FAULTS = 'message dropped', 'Traceback'
 PARAMETERS = {
     'effort_scale': (1.0, 0.95),
@@ -82,9 +79,9 @@ PARAMETERS = {
 
 
 HEAD = """\
-| quarter | joint states | commands | median latency [ms] | 99 % [ms] | gaps over 0.1 s \
+| quarter | joint states | commands | gaps over 0.1 s \
 | longest [ms] | longest of the driver [ms] | memory [MB] | of its child [MB] | threads | files |
-|---|---|---|---|---|---|---|---|---|---|---|---|"""
+|---|---|---|---|---|---|---|---|---|---|"""
 
 
 class SoakError(Exception):
@@ -96,10 +93,6 @@ class Quarter(NamedTuple):
 
     states: int
     commands: int
-    latency: float
-    """Median latency from a joint state to its command [ms]."""
-    late: float
-    """99th percentile of the latency from a joint state to its command [ms]."""
     gaps: int
     """Number of gaps between commands that are longer than `GAP`."""
     longest: float
@@ -133,8 +126,6 @@ class Robot:
         self.changes = dict.fromkeys(('payloads', 'gravities', 'parameters', 'trajectories'), 0)
         self._pid = pid
         self._turn = 0
-        self._number = 0
-        self._times = np.full(NUMBERS, np.nan)
         self._sent = self._received = math.nan
         self._state = JointState(name=self.model.joint_names)
         self.begin_quarter()
@@ -166,8 +157,7 @@ class Robot:
         self.sampling = self.node.create_timer(1.0, self._sample)
 
     def begin_quarter(self) -> None:
-        """Reset the latencies, gaps and samples for a new quarter."""
-        self.latencies: list[float] = []
+        """Reset the gaps and samples for a new quarter."""
         self.states = self.commands = self.gaps = 0
         self.longest = self.longest_own = 0.0
         self.samples: list[tuple[float, float, int, int]] = []
@@ -176,11 +166,7 @@ class Robot:
         def count(data: bytes) -> None:
             self.outputs[name] += 1
 
-        def read(data: bytes) -> None:
-            self.outputs[name] += 1
-            self._on_external_efforts(data)
-
-        return read if name == f'{NODE}/external_efforts' else count
+        return count
 
     def _read_next(self) -> None:
         """Subscribe to the next of the outputs that are read in turn."""
@@ -203,13 +189,11 @@ class Robot:
     def _publish_state(self) -> None:
         q, qd = self._motion()
         self._state.position, self._state.velocity = q.tolist(), qd.tolist()
-        # The external efforts of the node reveal this number, and therefore the latency.
-        self._number = (self._number + 1) % NUMBERS
-        self._state.effort = [0.0] * 6 + [STEP * self._number]
+        self._state.effort = q.tolist()
         now = time.monotonic()
         if now - self._sent > self.longest_own:
             self.longest_own = now - self._sent
-        self._sent = self._times[self._number] = now
+        self._sent = now
         self.states += 1
         self._states.publish(self._state)
 
@@ -293,13 +277,6 @@ class Robot:
         if (np.abs(self.last) > self.model.effort_limits).any():
             raise SoakError(f'a command exceeds the limits: {self.last}')
 
-    def _on_external_efforts(self, data: bytes) -> None:
-        """Record the latency of the command that the node sent just before these efforts."""
-        number = round(struct.unpack_from('<d', data, len(data) - 8)[0] / STEP) % NUMBERS
-        latency = self._received - self._times[number]
-        if latency > 0.0:  # otherwise this command was lost
-            self.latencies.append(latency)
-
     def _sample(self) -> None:
         process = Path(f'/proc/{self._pid}')
         self.samples.append(
@@ -320,13 +297,10 @@ class Robot:
     def measure(self) -> Quarter:
         """Return the measurements of the current quarter, and begin the next quarter."""
         self._sample()
-        latencies = 1000.0 * np.array(self.latencies or [math.nan])
         memory, child_memory, threads, files = np.median(self.samples, axis=0)
         quarter = Quarter(
             self.states,
             self.commands,
-            float(np.median(latencies)),
-            float(np.quantile(latencies, 0.99)),
             self.gaps,
             1000.0 * self.longest,
             1000.0 * self.longest_own,
@@ -390,8 +364,6 @@ def check(robot: Robot, quarters: list[Quarter], code: int | None, lines: list[s
     for number, each in enumerate(quarters, start=1):
         if each.longest > 1000.0 * LONGEST_GAP + each.longest_own:
             problems.append(f'no command for {each.longest:.0f} ms in quarter {number}')
-        if math.isnan(each.latency):
-            problems.append(f'no external efforts in quarter {number}')
     problems += [line.strip() for line in lines if any(fault in line for fault in FAULTS)][:5]
     if problems:
         raise SoakError('; '.join(problems))
