@@ -155,11 +155,7 @@ def modelled(written: Written, q: Floats, qd: Floats, qdd: Floats) -> Floats:
             drives[j, written.parameters['joints'].index(parent)] = ratio
     spring = written.per_joint('spring_stiffness') * (q - written.per_joint('spring_rest'))
     held, rate = rigid + spring, qd @ drives.T
-    dry = (
-        written.per_joint('coulomb')
-        + written.per_joint('load_friction') * np.abs(held)
-        + written.per_joint('sqrt_damping') * np.sqrt(np.abs(rate))
-    )
+    dry = written.per_joint('coulomb') + written.per_joint('load_friction') * np.abs(held)
     drive = (
         written.per_joint('armature') * (qdd @ drives.T)
         + written.per_joint('damping') * rate

@@ -25,7 +25,6 @@ class Real:
     width: np.ndarray
     load_friction: np.ndarray
     offset: np.ndarray
-    sqrt_damping: float | np.ndarray = 0.0
     coupling: float | np.ndarray = 0.0
     stiffness: float | np.ndarray = 0.0
     rest: float | np.ndarray = 0.0
@@ -39,7 +38,6 @@ class Real:
         speed[..., 1:] += coupling[1:] * qd[..., :-1]
         rate[..., 1:] += coupling[1:] * qdd[..., :-1]
         dry = self.coulomb + self.load_friction * np.abs(load)
-        dry = dry + self.sqrt_damping * np.sqrt(np.abs(speed))
         drive = self.armature * rate + self.damping * speed + dry * np.tanh(speed / self.width)
         efforts = load + drive + self.offset
         efforts[..., :-1] += coupling[1:] * drive[..., 1:]

@@ -22,7 +22,7 @@ class EffortTerms(NamedTuple):
     gravity: Floats
     """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
-    """Efforts due to all kinds of friction, including load-dependent and square-root friction."""
+    """Efforts due to all kinds of friction, including friction that grows with the load."""
     external: Floats
     """Efforts that balance the external wrenches."""
 

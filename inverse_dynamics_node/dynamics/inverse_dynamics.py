@@ -609,10 +609,9 @@ class InverseDynamics:
         coulomb: ArrayLike | None = None,
         width: ArrayLike = FRICTION_WIDTH,
         load_friction: ArrayLike = 0.0,
-        sqrt_damping: ArrayLike = 0.0,
     ) -> None:
         r"""
-        Set friction: :math:`d\,v + (c + \eta\,|\tau_{load}| + s \sqrt{|v|}) \tanh(v / w)`.
+        Set friction: :math:`d\,v + (c + \eta\,|\tau_{load}|) \tanh(v / w)`.
 
         Here v is the velocity of the drive. Without `set_drive_coupling`, v is the velocity of the
         joint.
@@ -627,9 +626,6 @@ class InverseDynamics:
             Speed w at which Coulomb friction reaches 76 % of the full value [rad/s or m/s].
         load_friction : array_like, shape (n,) or ()
             Coulomb friction eta per unit of load on the gear [-].
-        sqrt_damping : array_like, shape (n,) or ()
-            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5].
-            Heavily greased gears have such friction at low speeds.
 
         Raises
         ------
@@ -657,9 +653,8 @@ class InverseDynamics:
         if not (speeds >= np.finfo(float).tiny).all():  # the inverse must not overflow
             raise ConfigurationError(f'width is {width!r}, expected values above 0 [rad/s or m/s]')
         per_load = read_joints('load_friction', load_friction, n)
-        per_root = read_joints('sqrt_damping', sqrt_damping, n)
         # A failing call changes nothing, because all arguments have been checked before.
-        robot_table.write_friction(self._table, damping, coulomb, speeds, per_load, per_root)
+        robot_table.write_friction(self._table, damping, coulomb, speeds, per_load)
 
     def set_armature(self, armature: ArrayLike) -> None:
         """

@@ -7,7 +7,7 @@ The robot is a table in the layout of `robot_table`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, fabs, sin, sqrt, tanh
+from math import cos, fabs, sin, tanh
 from typing import Any
 
 from .equations import (
@@ -251,11 +251,9 @@ def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     because these act on the motor's side of the gear.
 
     """
-    damping, coulomb, load_friction, sqrt_damping, inverse_width = numbers
-    if coulomb != 0.0 or load_friction != 0.0 or sqrt_damping != 0.0:
+    damping, coulomb, load_friction, inverse_width = numbers
+    if coulomb != 0.0 or load_friction != 0.0:
         dry = coulomb + load_friction * fabs(load)
-        if sqrt_damping != 0.0:
-            dry += sqrt_damping * sqrt(fabs(rate))
         return damping * rate + dry * tanh(inverse_width * rate)
     return damping * rate
 

@@ -40,35 +40,34 @@ DAMPING = 37
 COULOMB = 38
 INVERSE_WIDTH = 39  # 1 / smoothing width of Coulomb friction [s/rad or s/m]
 LOAD_FRICTION = 40  # Coulomb friction per unit of load on the gear
-SQRT_DAMPING = 41  # friction per square root of the speed
-JOINT_BEFORE = 42  # index of the previous joint, from `joints_before`
+JOINT_BEFORE = 41  # index of the previous joint, from `joints_before`
 # Properties of the whole robot, in the row of the base
-JOINT_COUNT = 43
-HAS_DRIVE_TERMS = 44
-HAS_SPRINGS = 45
+JOINT_COUNT = 42
+HAS_DRIVE_TERMS = 43
+HAS_SPRINGS = 44
 # Scratch memory of the passes; the row of the base contains the motion of the base
-COSINE = 46  # cosine of the angle by which the joint has turned
-SINE = 47
-LENGTH = 48  # distance by which the joint has slid [m]
-OMEGA = 49
-OMEGA_DOT = 52
-ACCEL = 55
-FORCE = 58
-MOMENT = 61
-RATE = 64  # velocity of joint k, in row k + 1
-RATE_DOT = 65
-COMPOSITE = 66  # ten columns, used by `mass_matrix` only
-POSITION = 76  # origin of the frame, in base coordinates [m]
-X_AXIS = 79  # axis of the frame, in base coordinates
-Y_AXIS = 82
-Z_AXIS = 85
-COLUMNS = 88
+COSINE = 45  # cosine of the angle by which the joint has turned
+SINE = 46
+LENGTH = 47  # distance by which the joint has slid [m]
+OMEGA = 48
+OMEGA_DOT = 51
+ACCEL = 54
+FORCE = 57
+MOMENT = 60
+RATE = 63  # velocity of joint k, in row k + 1
+RATE_DOT = 64
+COMPOSITE = 65  # ten columns, used by `mass_matrix` only
+POSITION = 75  # origin of the frame, in base coordinates [m]
+X_AXIS = 78  # axis of the frame, in base coordinates
+Y_AXIS = 81
+Z_AXIS = 84
+COLUMNS = 87
 
 # Ranges of columns that are set together
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
 SPRING_COLUMNS = slice(STIFFNESS, PRELOAD + 1)
-FRICTION_COLUMNS = slice(DAMPING, SQRT_DAMPING + 1)
-LOAD_COLUMNS = slice(EXTERNAL_FORCE, SQRT_DAMPING + 1)  # wrenches, springs, friction, armature
+FRICTION_COLUMNS = slice(DAMPING, LOAD_FRICTION + 1)
+LOAD_COLUMNS = slice(EXTERNAL_FORCE, LOAD_FRICTION + 1)  # wrenches, springs, friction, armature
 BASE_MOTION_COLUMNS = slice(OMEGA, ACCEL + 3)
 BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 
@@ -129,9 +128,8 @@ def load_of(row: Any) -> Any:
 
 @simd_inline
 def friction_of(row: Any) -> Any:
-    """Read viscous, Coulomb, load and square-root friction, and the inverse smoothing width."""
-    per_load, per_root = row[LOAD_FRICTION], row[SQRT_DAMPING]
-    return row[DAMPING], row[COULOMB], per_load, per_root, row[INVERSE_WIDTH]
+    """Read viscous, Coulomb and load friction, and the inverse smoothing width."""
+    return row[DAMPING], row[COULOMB], row[LOAD_FRICTION], row[INVERSE_WIDTH]
 
 
 @simd_inline
@@ -194,7 +192,7 @@ def write_joints(table: Floats, column: int, values: Floats) -> None:
     """Set a column for all joints, and the flags that depend on this column."""
     rows = table[1 : 1 + len(values)]
     rows[:, column] = values
-    acting = [ARMATURE, DAMPING, COULOMB, LOAD_FRICTION, SQRT_DAMPING]
+    acting = [ARMATURE, DAMPING, COULOMB, LOAD_FRICTION]
     table[0, HAS_DRIVE_TERMS] = float(rows[:, acting].any())
     table[0, HAS_SPRINGS] = float(rows[:, SPRING_COLUMNS].any())
 
@@ -205,14 +203,12 @@ def write_friction(
     coulomb: Floats,
     speeds: Floats,
     load_friction: Floats,
-    sqrt_damping: Floats,
 ) -> None:
     """Set the friction of all joints; ``speeds`` are the smoothing widths."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
     write_joints(table, INVERSE_WIDTH, 1.0 / speeds)
     write_joints(table, LOAD_FRICTION, load_friction)
-    write_joints(table, SQRT_DAMPING, sqrt_damping)
 
 
 def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:

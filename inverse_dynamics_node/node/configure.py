@@ -18,7 +18,6 @@ _DRIVES = (
     'coulomb',
     'coulomb_width',
     'load_friction',
-    'sqrt_damping',
     'armature',
     'drive_coupling',
     'spring_stiffness',
@@ -121,7 +120,6 @@ def _apply_drives(
         factor * of_robot('coulomb', robot.friction, 0.0),
         of_robot('coulomb_width', zeros + width),
         factor * of_robot('load_friction'),
-        factor * of_robot('sqrt_damping'),
     )
     dynamics.set_armature(of_robot('armature'))
     dynamics.set_springs(of_robot('spring_stiffness'), of_robot('spring_rest'))

@@ -150,9 +150,9 @@ class Configuration(Settings):
     include_friction: bool = parameter(
         False,
         'Add the efforts that overcome friction',
-        'The added efforts are `damping` * qd + (`coulomb` + `load_friction` * |load| + '
-        '`sqrt_damping` * sqrt(|qd|)) * tanh(qd / `coulomb_width`); `load_friction` describes the '
-        'load. In mode `gravity_compensation`, only the share `friction_scale` is added',
+        'The added efforts are `damping` * qd + (`coulomb` + `load_friction` * |load|) * '
+        'tanh(qd / `coulomb_width`); `load_friction` describes the load. In mode '
+        '`gravity_compensation`, only the share `friction_scale` is added',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
@@ -182,12 +182,6 @@ class Configuration(Settings):
         'the load',
         minimum=0.0,
         maximum=10.0,
-    )
-    sqrt_damping: PerJoint = parameter(
-        0.0,
-        'Friction per square root of the speed, in addition to `damping`',
-        unit='N m (s/rad)^0.5, N (s/m)^0.5',
-        minimum=0.0,
     )
     armature: PerJoint = parameter(
         0.0,

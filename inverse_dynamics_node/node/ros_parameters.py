@@ -36,6 +36,7 @@ _REMOVED = {
     'payload_transition_time': 'a new payload is blended in over start_ramp',
     'stop_timeout': 'a stop is damped for at most 20 s',
     'uncommanded_state_timeout': 'a joint that is not commanded counts as late after 1 s',
+    'sqrt_damping': 'use damping and coulomb, which identify fits instead',
 }
 """Parameters of earlier versions, and what to do instead."""
 

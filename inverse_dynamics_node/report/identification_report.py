@@ -69,7 +69,7 @@ def friction_table(result: IdentificationResult) -> str:
 
 
 def _extra_notes(result: IdentificationResult) -> list[str]:
-    """Return sentences about springs, square-root friction, coupled joints and gains."""
+    """Return sentences about springs, coupled joints and gains."""
     notes, gains = [], []
     for joint in result.joints:
         terms, unit = joint.terms, ('m' if joint.is_prismatic else 'rad')
@@ -79,12 +79,6 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
             notes.append(
                 f'{joint.name}: balancing a spring or counterweight takes {value} {force}/{unit} '
                 f'* (position - {terms.rest:.3g} {unit}).'
-            )
-        if terms.sqrt_damping:
-            value = with_error(terms.sqrt_damping, terms.errors['sqrt_damping'])
-            notes.append(
-                f'{joint.name}: {value} {force} * square root of |velocity| is added to Coulomb '
-                'friction.'
             )
         if terms.coupling:
             notes.append(

@@ -22,7 +22,6 @@ from inverse_dynamics_node.analysis.identification.regression import (
     OFFSET,
     Regression,
     SPRING,
-    SQRT,
     TERMS,
 )
 from inverse_dynamics_node.analysis.identification.result import (
@@ -178,7 +177,7 @@ def of_joint(k, value):
 
 def extras_of(result):
     """Return the names of the extras that were found, joint by joint."""
-    names = 'sqrt_damping', 'coupling', 'stiffness'
+    names = 'coupling', 'stiffness'
     return [[name for name in names if getattr(j.terms, name)] for j in result.joints]
 
 
@@ -192,7 +191,6 @@ def exported_efforts(result, q, qd, qdd):
         terms['coulomb'],
         terms['width'],
         terms['load_friction'],
-        terms['sqrt_damping'],
     )
     dynamics.set_armature(terms['armature'])
     dynamics.set_springs(terms['stiffness'], terms['rest'])
@@ -223,15 +221,6 @@ def test_a_counterweight_is_found():
     check_exported(result, real, motion)
 
 
-def test_friction_with_the_root_of_the_speed_is_found():
-    real, motion, result = identified(
-        sqrt_damping=lambda real: of_joint(0, 4.0 * real.coulomb[0]),
-        coulomb=lambda real: real.coulomb * np.where(np.arange(6) == 0, 0.3, 1.0),
-    )
-    assert extras_of(result) == [['sqrt_damping'], [], [], [], [], []]
-    check_exported(result, real, motion)
-
-
 def test_the_regression_and_the_library_have_the_same_efforts():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(8)
     bodies = identified_bodies(robot)
@@ -243,8 +232,8 @@ def test_the_regression_and_the_library_have_the_same_efforts():
     couplings = np.array([0.0, 0.0, 0.0, 0.5, 0.0, -1.0])
     model = Model(bodies.before, joints, rng.uniform(0.05, 0.5, 6), couplings)
     dynamics = InverseDynamics(robot)
-    damping, coulomb, per_load, per_root = joints[:, [DAMPING, COULOMB, LOAD, SQRT]].T
-    dynamics.set_friction(damping, coulomb, model.widths, per_load, per_root)
+    damping, coulomb, per_load = joints[:, [DAMPING, COULOMB, LOAD]].T
+    dynamics.set_friction(damping, coulomb, model.widths, per_load)
     dynamics.set_armature(joints[:, ARMATURE])
     dynamics.set_drive_coupling(couplings)
     offset, stiffness = joints[:, OFFSET], joints[:, SPRING]

@@ -33,16 +33,15 @@ from .regression import (
     Regression,
     SIGNED,
     SPRING,
-    SQRT,
     TERMS,
-    WIDTH,
 )
 
 FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
-LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
-"""An optional term must reduce the squared prediction errors by this fraction."""
-LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""Required improvement by an optional term, in standard errors of the improvement."""
+LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02}
+"""
+An optional term must reduce the squared prediction errors by this fraction, and by one standard
+error of the improvement.
+"""
 LARGEST_LOAD = 0.1
 """Prior standard deviation of the ratio of load friction to load, as in inefficient gears [-]."""
 WIDTHS = 10
@@ -67,7 +66,7 @@ class JointFit(NamedTuple):
     model: Model
     """Model with the chosen terms; all other terms are zero."""
     used: Booleans
-    """Whether each term of each joint was chosen, shape (joints, 10)."""
+    """Whether each term of each joint was chosen, shape (joints, 9)."""
 
 
 class EffortCorrection(NamedTuple):
@@ -144,7 +143,7 @@ def fits_without_blocks(regression: Regression, friction: JointFit) -> list[Mode
 def _block_grams(
     regression: Regression, model: Model, grid: Floats, target: Floats
 ) -> list[Floats]:
-    """Return Gram matrices as one array per joint, shape (widths, blocks, 11, 11)."""
+    """Return Gram matrices as one array per joint, shape (widths, blocks, 10, 10)."""
     blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
@@ -171,12 +170,10 @@ def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple
 
 def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
     """Return the improvement by an additional term, relative to the required improvement."""
-    if candidate == SQRT:  # SQRT must not replace a width between two tried widths
-        chosen = (*chosen, WIDTH)
     losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]
     gains = losses - new
     error = np.sqrt(len(gains)) * gains.std(ddof=1) if len(gains) > 1 else np.inf
-    least = max(LEAST_IMPROVEMENT[candidate] * losses.sum(), LEAST_ERRORS[candidate] * error)
+    least = max(LEAST_IMPROVEMENT[candidate] * losses.sum(), error)
     return float(gains.sum() / max(least, 1e-300))
 
 

@@ -29,7 +29,6 @@ from .regression import (
     OFFSET,
     Regression,
     SPRING,
-    SQRT,
     TERMS,
 )
 from .result import BodyResult, DriveTerms, IdentificationResult, JointResult, Residuals, Unseen
@@ -39,7 +38,6 @@ _NAMES = {
     'damping': DAMPING,
     'coulomb': COULOMB,
     'load_friction': LOAD,
-    'sqrt_damping': SQRT,
     'stiffness': SPRING,
     'offset': OFFSET,
 }

@@ -55,7 +55,7 @@ class RobotFit(NamedTuple):
     weights: Floats
     """Weight of the residuals of each joint, shape (joints,)."""
     used: Booleans
-    """Whether each term of each joint was fitted, shape (joints, 10)."""
+    """Whether each term of each joint was fitted, shape (joints, 9)."""
     model: Model
     unknowns: Integers
     """Indices of the fitted unknowns; all unknowns are ten per body, followed by ten per joint."""

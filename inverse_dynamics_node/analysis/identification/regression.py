@@ -33,20 +33,20 @@ from ..recordings.resampling import Resampler, resampler
 from ..recordings.signals import Motion
 
 RANDOM_STATES = 60
-ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
-EXPORTED = 7
+ARMATURE, DAMPING, COULOMB, LOAD, SPRING, OFFSET = range(6)
+EXPORTED = 6
 """Number of joint terms that the node can apply."""
-WIDTH = 7
+WIDTH = 6
 """Index of the term that corrects the friction width."""
-RATIO = 8
+RATIO = 7
 """Index of the term that corrects the coupling."""
-GAIN = 9
+GAIN = 8
 """Index of the term that corrects the gain."""
-TERMS = 10
+TERMS = 9
 """Number of terms of each joint."""
-OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
+OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, WIDTH, RATIO]
 """Terms of a coupled drive that also act on the preceding joint."""
-SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
+SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD])
 """Whether each term may have a negative factor."""
 FIXED_RATIO = 0.995
 """Two joints moved in a fixed ratio if their velocities have at least this correlation."""
@@ -227,7 +227,7 @@ class Model:
     bodies: Floats
     """Inertial parameters of the identified bodies, shape (bodies, 10)."""
     joints: Floats
-    """Factors of the columns of `Regression.terms`, shape (joints, 10)."""
+    """Factors of the columns of `Regression.terms`, shape (joints, 9)."""
     widths: Floats
     """Friction widths, shape (joints,) [rad/s or m/s]."""
     couplings: Floats
@@ -327,7 +327,7 @@ class Regression:
 
     def terms(self, model: Model) -> Floats:
         """
-        Return the columns of the joint terms, shape (rows, joints, 10).
+        Return the columns of the joint terms, shape (rows, joints, 9).
 
         The columns depend on the widths, the couplings and the gear loads of the model. The
         columns `WIDTH` and `RATIO` also depend on the joint terms of the model.
@@ -335,17 +335,17 @@ class Regression:
         """
         robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
         before = self.problem.before
-        coulomb, per_load, per_root = (model.joints[:, k] for k in (COULOMB, LOAD, SQRT))
+        coulomb, per_load = model.joints[:, COULOMB], model.joints[:, LOAD]
         parts = []
         for motion in self.motions:
             qd = motion.qd[:, joints]
             rate = qd + model.couplings * qd[:, before]
             load = self.problem.efforts(robot, motion) + model.springs(motion.q[:, joints])
-            speed, load, root = rate / model.widths, np.abs(load), np.sqrt(np.abs(rate))
+            speed, load = rate / model.widths, np.abs(load)
             step = np.tanh(speed)
-            slope = (coulomb + per_load * load + per_root * root) * (1.0 - step**2) / model.widths
-            parts.append((step, load * step, root * step, -slope * speed, slope * qd[:, before]))
-        direction, loaded, rooted, widening, coupling = (
+            slope = (coulomb + per_load * load) * (1.0 - step**2) / model.widths
+            parts.append((step, load * step, -slope * speed, slope * qd[:, before]))
+        direction, loaded, widening, coupling = (
             self._smooth(signals, Resampler.discontinuous) for signals in zip(*parts, strict=True)
         )
         armature, damping = model.joints[:, ARMATURE], model.joints[:, DAMPING]
@@ -356,7 +356,6 @@ class Regression:
             self.qd + model.couplings * self.qd[:, before],
             direction,
             loaded,
-            rooted,
             self.q,
             np.ones_like(self.qd),
             widening,
@@ -371,7 +370,7 @@ class Regression:
 
         The terms of a joint affect the joint itself. The terms of a coupled drive also affect the
         preceding joint. Each tuple contains the affected joint, the owner of the terms, and the
-        columns, shape (rows, 10).
+        columns, shape (rows, 9).
 
         """
         terms = self.terms(model)

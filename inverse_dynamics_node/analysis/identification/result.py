@@ -36,8 +36,6 @@ class DriveTerms:
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     load_friction: float = 0.0
     """Ratio of Coulomb friction to the effort that loads the gear [-]."""
-    sqrt_damping: float = 0.0
-    """Friction per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]."""
     armature: float = 0.0
     """Armature [kg m^2 or kg]."""
     coupling: float = 0.0
@@ -192,7 +190,6 @@ _TITLE = (
     'armature kg m^2 (kg). An offset of the efforts belongs into the driver.',
 )
 _EXTRAS = {
-    'sqrt_damping': 'sqrt_damping',
     'drive_coupling': 'coupling',
     'spring_stiffness': 'stiffness',
     'spring_rest': 'rest',
