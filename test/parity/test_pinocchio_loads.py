@@ -6,11 +6,9 @@ wrench of the floating joint.
 """
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from kinematics import assert_close
-from loads import apply, everything, random_loads
+from loads import apply, random_loads
 import numpy as np
-from numpy.testing import assert_allclose
 from pinocchio_joints import write_positions
 import pytest
 from robot_files import OUR_ROBOTS, real_robots
@@ -119,58 +117,6 @@ def test_all_loads(path):
     peer = apply(FloatingPeer(robot, path.read_text()), calls).ready()
     for state in states:
         assert_equal_to_pinocchio(dynamics, peer, *state)
-
-
-@pytest.mark.parametrize(
-    'setter',
-    ['set_gravity', 'set_base_motion', 'set_armature', 'set_payload', 'set_external_wrench'],
-)
-@each_robot
-def test_one_kind_of_load(path, setter):
-    robot, calls, states = random_case(path)
-    calls = [call for call in calls if call[0] == setter]
-    bare = InverseDynamics(robot)
-    dynamics = apply(InverseDynamics(robot), calls)
-    peer = FloatingPeer(robot, path.read_text())
-    peer.set_gravity(STANDARD_GRAVITY)
-    apply(peer, calls).ready()
-    for state in states:
-        assert_equal_to_pinocchio(dynamics, peer, *state)
-        without, loaded = everything(bare, *state), everything(dynamics, *state)
-        what = 'efforts' if setter == 'set_armature' else 'forces'
-        assert (without[what] != loaded[what]).any()
-
-
-@each_robot
-def test_terms(path):
-    robot, calls, states = random_case(path)
-    calls = [call for call in calls if call[0] != 'set_base_motion']
-    dynamics = apply(InverseDynamics(robot), calls)
-    peer = apply(FloatingPeer(robot, path.read_text()), calls).ready()
-    model, data = peer.model, peer.data
-    is_nothing = []
-    for q, qd, qdd in states:
-        Q, QD = peer.positions(q), peer.fold @ qd
-        terms = dynamics.effort_terms(q, qd, qdd)
-        weight = pinocchio.computeGeneralizedGravity(model, data, Q)
-        both = pinocchio.nonLinearEffects(model, data, Q, QD)
-        velocity = pinocchio.computeCoriolisMatrix(model, data, Q, QD) @ QD
-        held = pinocchio.computeStaticTorque(model, data, Q, peer.wrenches)
-        scale = np.abs(terms).max()
-        is_nothing.append([not np.abs(term).max() > 1e-6 * scale for term in terms])
-        for ours, theirs in (
-            (terms.gravity, weight),
-            (terms.gravity + terms.coriolis, both),
-            (terms.coriolis, velocity),
-            (dynamics.coriolis_efforts(q, qd), velocity),
-            (terms.gravity + terms.external, held),
-            (dynamics.gravity_efforts(q), held),
-        ):
-            assert_allclose(ours, peer.fold.T @ theirs, rtol=0, atol=1e-10 * scale)
-    if path in REAL:
-        inertial, velocity, gravity, friction, external = np.all(is_nothing, axis=0)
-        assert friction  # no friction was set
-        assert not any((inertial, velocity, gravity, external))
 
 
 def test_the_real_robots_are_installed():

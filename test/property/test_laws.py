@@ -12,18 +12,6 @@ from random_trees import urdf_of
 DIFFERENCE = 1e-6  # error of central differences with a step of 1e-5
 
 
-@given(cases(vectors=4))
-def test_efforts_are_linear_in_accelerations(case):
-    _, robot, (q, qd, a, b) = case
-    efforts = InverseDynamics(robot).efforts
-    rest = efforts(q, qd, 0.0 * a)
-    assert_close(
-        efforts(q, qd, 2.0 * a - 3.0 * b) - rest,
-        2.0 * (efforts(q, qd, a) - rest) - 3.0 * (efforts(q, qd, b) - rest),
-        1e-9,
-    )
-
-
 @given(cases())
 def test_mass_matrix_gives_the_efforts_of_accelerations(case):
     _, robot, (q, qd, qdd) = case

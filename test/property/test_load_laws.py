@@ -432,21 +432,3 @@ def test_cleared_loads_have_no_effect(case, rng):
     for name, values in expected.items():
         assert (loaded[name] != values).any()
         assert (actual[name] == values).all(), name
-
-
-# One state and many states
-
-
-@given(robots_with_states(vectors=12), seeds)
-@settings(max_examples=30)
-def test_batches_with_loads_agree_with_single_states(case, rng):
-    _, robot, vectors = case
-    q, qd, qdd = vectors.reshape(3, 2, 2, -1)
-    dynamics = apply(InverseDynamics(robot), random_loads(robot, rng))
-    batch = everything(dynamics, q, qd, qdd)
-    batch['terms'] = np.moveaxis(batch['terms'], 0, -2)
-    for index in np.ndindex(2, 2):
-        single = everything(dynamics, q[index], qd[index], qdd[index])
-        assert_same({name: values[index] for name, values in batch.items()}, single, 1e-12)
-    still = dynamics.effort_terms(q, np.zeros(len(robot.joint_names)), qdd[0, 0])
-    assert still.inertial.shape == still.coriolis.shape == q.shape

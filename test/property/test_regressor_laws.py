@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.robot.rigid_body import RigidBody
-from kinematics import assert_close, Tree
+from kinematics import assert_close
 from loads import apply, random_loads
 import numpy as np
 from random_trees import robots_with_states as cases
@@ -46,27 +46,6 @@ def test_efforts_are_linear_in_the_parameters(case, seed):
     assert (before.regressor(q, qd, qdd) == after.regressor(q, qd, qdd)).all()
 
 
-@given(cases(vectors=1))
-def test_regressors_of_unit_accelerations_give_the_mass_matrix(case):
-    links, robot, (q,) = case
-    dynamics = InverseDynamics(robot, WEIGHTLESS)
-    n = len(q)
-    regressors = dynamics.regressor(q, np.zeros(n), np.eye(n))
-    assert regressors.shape == (n, n, 10 * (len(robot.parent) - 1))
-    matrix = regressors @ dynamics.inertial_parameters()
-    assert_close(matrix, dynamics.mass_matrix(q))
-    assert_close(matrix, Tree(links, robot.joint_names).mass_matrix(q))
-
-
-@given(cases(vectors=2))
-def test_kinetic_energy_follows_from_the_regressor(case):
-    links, robot, (q, qd) = case
-    dynamics = InverseDynamics(robot, WEIGHTLESS)
-    momentum = dynamics.regressor(q, 0.0 * qd, qd) @ dynamics.inertial_parameters()
-    expected = 0.5 * qd @ Tree(links, robot.joint_names).mass_matrix(q) @ qd
-    assert_close(0.5 * qd @ momentum, expected)
-
-
 @given(cases())
 def test_a_joint_has_no_effort_for_bodies_that_it_does_not_move(case):
     _, robot, (q, qd, qdd) = case
@@ -79,19 +58,6 @@ def test_a_joint_has_no_effort_for_bodies_that_it_does_not_move(case):
             k = int(robot.parent[k])
         for joint, block in enumerate(blocks[:, body - 1]):
             assert block.any() == (joint in movers)
-
-
-@given(cases(vectors=12 * 20), st.integers(0, 2**32 - 1))
-def test_batches_agree_with_single_states(case, seed):
-    _, robot, vectors = case
-    q, qd, qdd = vectors.reshape(3, 4, 20, -1)
-    dynamics = InverseDynamics(robot)
-    dynamics.set_base_motion(*np.random.default_rng(seed).uniform(-1.0, 1.0, (3, 3)))
-    batch = dynamics.regressor(q, qd, qdd)
-    single = np.empty_like(batch)
-    for index in np.ndindex(4, 20):
-        single[index] = dynamics.regressor(q[index], qd[index], qdd[index])
-    assert_close(batch, single, 1e-12)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -1,13 +1,12 @@
 """Batches of any size, and with invalid values."""
 
-from inverse_dynamics_node import JointStateError, load_urdf
+from inverse_dynamics_node import JointStateError
 from inverse_dynamics_node.dynamics.batch import cosine_and_sine
 from inverse_dynamics_node.dynamics.jit import simd_step
-from loads import loaded_chain, loaded_dynamics
+from loads import loaded_chain
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from robot_files import OUR_ROBOTS
 
 NAMES = ('q', 'qd', 'qdd')
 
@@ -62,13 +61,6 @@ def test_any_number_of_states(size, rng):
         assert_batch_agrees(loaded_chain(*BASE_ROTATION), states)
     else:
         assert loaded_chain(*BASE_ROTATION).efforts(*states).shape == (0, 5)
-
-
-@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
-def test_our_robots(path, rng):
-    dynamics = loaded_dynamics(load_urdf(path), *BASE_ROTATION)
-    n = len(dynamics.robot.joint_names)
-    assert_batch_agrees(dynamics, rng.uniform(-3.0, 3.0, (3, 70, n)))
 
 
 def test_very_large_angles_are_computed(rng):

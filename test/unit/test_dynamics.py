@@ -1,7 +1,5 @@
 """Efforts that can be derived by hand, and errors of invalid arguments."""
 
-from pathlib import Path
-
 from inverse_dynamics_node import (
     ConfigurationError,
     InverseDynamics,
@@ -108,17 +106,6 @@ def test_mimic_joint_adds_to_its_master():
     assert InverseDynamics(robot).efforts([0.0], [0.0], [1.0]) == pytest.approx([expected])
 
 
-def test_out_is_written_and_returned():
-    out = np.full(2, np.nan)
-    dynamics = InverseDynamics(PLANAR)
-    state = np.array([0.1, 0.2])
-    assert dynamics.efforts(state, state, state, out=out) is out
-    assert_allclose(out, dynamics.efforts(state, state, state))
-    batch = np.full((3, 2), np.nan)
-    assert dynamics.efforts(np.zeros((3, 2)), state, state, out=batch) is batch
-    assert_allclose(batch, np.tile(dynamics.efforts([0, 0], state, state), (3, 1)))
-
-
 def test_arguments_may_be_array_like():
     dynamics = InverseDynamics(PLANAR)
     expected = dynamics.efforts(np.array([1.0, 2.0]), np.array([0.0, 1.0]), np.array([3.0, 0.0]))
@@ -190,12 +177,6 @@ def test_rejects_out_of_lower_precision(out):
         InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=out)
 
 
-@pytest.mark.parametrize('shape', [(3,), (1, 2), (2, 2)])
-def test_errors_give_the_shape_of_out(shape):
-    with pytest.raises(JointStateError, match=r'out has shape .*, expected'):
-        InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=np.empty(shape))
-
-
 def test_nan_has_no_effect_on_later_calls():
     dynamics = InverseDynamics(PLANAR)
     good = dynamics.efforts([0.1, 0.2], [0.3, 0.4], [0.5, 0.6])
@@ -214,10 +195,3 @@ def test_nan_has_no_effect_on_later_calls():
 def test_rejects_gravity_that_is_not_a_vector(gravity):
     with pytest.raises(ConfigurationError, match='expected three finite numbers'):
         InverseDynamics(PLANAR, gravity)
-
-
-def test_loads_act_as_in_the_readme():
-    """The example of the README."""
-    robot = load_urdf(Path(__file__).parents[2] / 'config' / 'stanford.urdf')
-    assert robot.joint_names == tuple(f'joint_{k}' for k in range(1, 7))
-    assert InverseDynamics(robot).gravity.tolist() == [0.0, 0.0, -G]
