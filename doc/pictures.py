@@ -53,7 +53,6 @@ SCENES = (
     ('2 kg that the node does not know', LOAD, 0.0),
     ('the load is published on ~/payload', LOAD, LOAD),
 )
-GRIPPER_ARM = 'test/robots/gripper_arm.urdf'
 PICTURES = {
     'check': 'check config/stanford.urdf --picture check.png',
     'effort': 'effort config/stanford.urdf doc/stanford_pick.yaml --payload 2 --link tool0',
@@ -61,11 +60,7 @@ PICTURES = {
     'excite': 'excite my_arm.urdf',
     'identify': 'identify my_arm.urdf run_1.csv --validate run_2.csv --output calibrated.urdf'
     ' --parameters node.yaml --json report.json',
-    'closed_loop_payload': f'demo {GRIPPER_ARM} --scenario payload --picture payload.png',
-    'closed_loop_push': 'demo config/stanford.urdf --scenario push --picture push.png',
-    'closed_loop_tilt': f'demo {GRIPPER_ARM} --scenario tilt --picture tilt.png',
-    'closed_loop_sensor_lost': f'demo {GRIPPER_ARM} --scenario sensor-lost --picture lost.png',
-    'closed_loop_calibrate': f'demo {GRIPPER_ARM} --scenario calibrate --picture calibrate.png',
+    'closed_loop': 'demo config/stanford.urdf --picture closed_loop.png',
 }
 
 

@@ -40,7 +40,7 @@ MODULES = (
     'inverse_dynamics_node.cli.console',
     'inverse_dynamics_node.cli.watch',
     'inverse_dynamics_node.node.node',
-    'inverse_dynamics_node.simulation.demo.demo',
+    'inverse_dynamics_node.simulation.demo',
     'inverse_dynamics_node.simulation.drive',
     'inverse_dynamics_node.simulation.mujoco.hardware',
     'rclpy.experimental.events_executor',

@@ -8,7 +8,7 @@ from inverse_dynamics_node.analysis.recordings.signals import Recording
 import numpy as np
 from robot_files import STANFORD
 
-KP, KD = 400.0, 40.0  # gains of the loop, as in the demo
+KP, KD = 400.0, 40.0  # gains of the loop
 # Friction of the Stanford arm. More would hold joint 6, whose commanded efforts are small.
 DAMPING = [1.5, 2.0, 20.0, 0.2, 0.15, 0.02]
 COULOMB = [1.0, 2.5, 8.0, 0.3, 0.2, 0.002]

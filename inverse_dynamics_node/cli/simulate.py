@@ -89,7 +89,7 @@ def make_parser() -> argparse.ArgumentParser:
 def run(options: argparse.Namespace) -> int:
     """Run the robot until SIGINT or SIGTERM; return the exit code."""
     # Imported here, because few commands need ROS.
-    from ..simulation.demo.processes import stay_on_this_machine
+    from ..ros.middleware import stay_on_this_machine
     from ..simulation.robot import main
 
     stay_on_this_machine()

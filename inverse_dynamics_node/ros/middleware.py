@@ -46,6 +46,11 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
 
 
+def stay_on_this_machine() -> None:
+    """Keep ROS traffic on this machine, unless the user has set a discovery range."""
+    os.environ.setdefault(_RANGE, 'LOCALHOST')
+
+
 def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     """
     Raise a ConfigurationError if ROS would silently start without the requested security.

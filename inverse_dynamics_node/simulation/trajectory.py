@@ -9,7 +9,6 @@ continuous.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,13 +23,6 @@ ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
 SPEED_USED = 0.5  # fraction of the velocity limit
 EFFORT_USED = 0.9  # fraction of the effort limit; feedback needs the remainder
 STEEPEST_FADE = 1.875  # largest slope of the quintic
-
-
-class Reference(Protocol):
-    """A motion of n joints."""
-
-    def sample(self, time: Any) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations at a time [s], each of shape (n,)."""
 
 
 @dataclass(frozen=True, eq=False)

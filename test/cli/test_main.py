@@ -191,7 +191,7 @@ def test_only_watch_simulate_and_demo_need_ros():
         'source the setup file of ROS 2, or, in a virtual environment, run ',
         "pip install 'inverse_dynamics_node[ros,demo]'",
     ):
-        assert result.stderr.count(text) == 2  # of demo and watch
+        assert result.stderr.count(text) == 3
     assert result.stderr.count('No module named') == 3
     assert 'Traceback' not in result.stderr
 

@@ -195,10 +195,9 @@ def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
     assert advice == 'inverse_dynamics_node[ros,demo]', result.stderr
     result = run('pip', 'install', '--quiet', advice)
     assert result.returncode == 0, result.stderr
-    result = run('inverse_dynamics', 'demo', urdf, '--duration', '5', '--rate', '50')
-    # On a busy machine, the verdict may be that the rate was too low.
-    verdict = re.search(r'^(PASSED: |FAILED: [\d.]+ commands/s received, )', result.stdout, re.M)
-    assert verdict, result.stdout + result.stderr
+    result = run('inverse_dynamics', 'demo', urdf)
+    # On a busy machine, the demo may fail.
+    assert re.search(r'^(PASSED|FAILED): ', result.stdout, re.M), result.stdout + result.stderr
     given = f'robot_description_file:={urdf}'
     command = [folder / 'inverse_dynamics_node', '--ros-args', '-p', 'dry_run:=true', '-p', given]
     assert shared_memory_of_a_node(command, tmp_path, environment) is not None
