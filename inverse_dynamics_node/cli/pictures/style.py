@@ -138,19 +138,6 @@ def peak_in_words(peak: float, limit: float, unit: str) -> str:
     )
 
 
-def runs_of(numbers: Sequence[int]) -> str:
-    """Return the numbers as a short string, such as '1, 3-6'."""
-    runs: list[list[int]] = []
-    for each in sorted(numbers):
-        if runs and each == runs[-1][-1] + 1:
-            runs[-1].append(each)
-        else:
-            runs.append([each])
-    return ', '.join(
-        f'{run[0]}-{run[-1]}' if len(run) > 2 else ', '.join(map(str, run)) for run in runs
-    )
-
-
 def try_to_draw(
     draw: Callable[[Path], None], options: argparse.Namespace, default: str
 ) -> Path | None:
