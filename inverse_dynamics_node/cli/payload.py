@@ -26,7 +26,7 @@ from . import arguments
 from .console import collected_signals, progress, say, show
 from .nodes import choose_node, node_name
 from .output_files import check_outputs, output_path, OutputError
-from .pictures.payload import draw
+from .pictures.compare import draw_payload
 from .pictures.style import write_picture
 from .recordings import measured_efforts, read_recording, reported_convention, scaled
 
@@ -145,7 +145,7 @@ def run(options: argparse.Namespace) -> int:
             print(escaped(inertial_element(result)))
     if options.picture:
         title = f'{robot.name}: {options.loaded.name}'
-        write_picture(partial(draw, result, title, verdict(result)), options.picture)
+        write_picture(partial(draw_payload, result, title, verdict(result)), options.picture)
     if options.apply is not None and is_shown:
         name = _apply(result, options)
         if not options.json:

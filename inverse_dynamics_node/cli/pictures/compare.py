@@ -1,4 +1,4 @@
-"""The picture of `compare`: measured and modelled efforts over time, and their difference."""
+"""The pictures of `compare` and `payload`: measured and modelled efforts over time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...analysis.diagnosis import ComparisonResult
+from ...analysis.payload import PayloadEstimate
 from ...report.compare_report import percent
 from ...report.diagnosis_text import amount
 from . import style
@@ -100,3 +101,23 @@ def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
     for modelled, colour in ((result.modelled, style.BLUE), (result.corrected, style.ORANGE)):
         difference = style.thinned(times, measured - modelled[:, c])
         ax.plot(*difference, color=colour, linewidth=0.9)
+
+
+def draw_payload(result: PayloadEstimate, source: str, title: str, path: Path) -> None:
+    """Draw the efforts of all joints over time, and write the picture."""
+    names = style.all_shortened(result.joint_names, 40)
+    marks = {'marker': 'o', 'linestyle': ''} if result.poses else {}
+    signals = (
+        (result.measured, {**style.MEASURED, **marks}),
+        (result.fitted, {'color': style.BLUE, 'linewidth': 1.1, **marks}),
+    )
+    with style.styled_pyplot() as pyplot:
+        figure, panels = style.panels(pyplot, len(names), 1, 1.15)
+        for j, ax in enumerate(panels):
+            lines = style.draw_signals(ax, result.times, j, signals)
+            ax.set_title(names[j], fontsize=9.5, pad=3)
+            ax.set_ylabel('[N m, N]', fontsize=9)
+        style.set_title(figure, source, title)
+        labels = ['measured minus empty arm', 'fitted payload']
+        style.legend_below(figure, lines, labels, ncols=2)
+        figure.savefig(path)
