@@ -2,25 +2,33 @@
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.loop import ControlLoop
-from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
+from inverse_dynamics_node.simulation.mujoco import MujocoRobot
+import mujoco
 import numpy as np
 from states import store_state
 
 PERIOD = 0.005  # [s]; of joint states and commands
 
 
+def accelerations(robot):
+    """Return the accelerations of a simulated robot, in the order of ``robot.joint_names``."""
+    mujoco.mj_forward(robot._model, robot._data)
+    robot._push()
+    mujoco.mj_forward(robot._model, robot._data)
+    return robot._data.qacc[robot._order]
+
+
 class SimulatedArm:
     """An arm that starts at rest, at full gain, with the same friction in URDF and node."""
 
-    def __init__(self, path, q, settings, *, held=(), friction=True, seed=0):
+    def __init__(self, path, q, settings, *, joints=(), friction=True, seed=0):
         self.robot = load_urdf(path)
-        self.hardware = MujocoRobot(path, self.robot, q, friction, held)
+        self.hardware = MujocoRobot(self.robot, q, friction, joints)
         self.loop = ControlLoop(self.robot, self.hardware.command_names, settings, PERIOD)
         self.dynamics = self.loop.dynamics
         self.noise, self._random = 0.0, np.random.default_rng(seed)  # [rad/s]
         self.tip = self.robot.link_names[-1]
         self.time = 0.0
-        self.hardware.brakes_on = False
 
     @property
     def q(self):
@@ -33,7 +41,7 @@ class SimulatedArm:
     def push(self, force):
         """Apply a force at the tip, in the base frame [N]."""
         R = self.dynamics.pose(self.q, self.tip)[:3, :3]
-        self.hardware.world.set_external_wrench(self.tip, R.T @ force)
+        self.hardware.set_external_wrench(self.tip, R.T @ force)
 
     def step(self):
         noise = self.noise * self._random.standard_normal(len(self.q))

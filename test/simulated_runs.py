@@ -45,15 +45,14 @@ def simulate(urdf, real, duration=20.0, rate=500.0):
 
     Joint states are those of `MujocoRobot.state`: the effort is the one applied until then.
     """
-    from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
+    from inverse_dynamics_node.simulation.mujoco import MujocoRobot
     from inverse_dynamics_node.simulation.trajectory import plan, start_pose
 
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
     start = start_pose(robot, dynamics)
     trajectory = plan(robot, dynamics, start, 0.9 * duration)
-    hardware = MujocoRobot(real, robot, start)
-    hardware.brakes_on = False
+    hardware = MujocoRobot(load_urdf(real), start)
     order = [hardware.state_names.index(name) for name in robot.joint_names]
     times = np.arange(round(duration * rate)) / rate
     states = np.zeros((3, len(times), len(hardware.state_names)))

@@ -57,12 +57,11 @@ class SoftStop:
     """
 
     def __init__(self, arm, rate, sign=1.0, lost_at=np.inf, speeds=0.0, seed=0, **settings):
-        from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
+        from inverse_dynamics_node.simulation.mujoco import MujocoRobot
 
         path, self.tip, start = ARMS[arm]
         self.robot = load_urdf(path)
-        self.hardware = MujocoRobot(path, self.robot, start, friction=False)
-        self.hardware.brakes_on = False
+        self.hardware = MujocoRobot(self.robot, start, friction=False)
         self.loop = ControlLoop(self.robot, settings=Settings(start_ramp=0.0, **settings))
         self.loop.start()
         self.dynamics = InverseDynamics(self.robot)

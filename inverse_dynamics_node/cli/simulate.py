@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..simulation.drivers import DRIVERS, TORQUES
+from ..simulation.drivers import DRIVERS, IDEAL
 from .arguments import new_parser
 
 EPILOG = """\
@@ -30,12 +30,15 @@ from the node. doc/robots.md describes the drivers, and config/robots has a para
 driver.
 {drivers}
 
+The robot takes the arguments of ROS. With the parameter joints, the robot takes commands for some
+joints only, in the given order; the others hold their positions.
+
 examples:
   inverse_dynamics simulate my_arm.urdf
   inverse_dynamics simulate my_arm.urdf --driver franka_ros2
   inverse_dynamics simulate my_arm.urdf --sway --friction
-  inverse_dynamics simulate my_arm.urdf --namespace left --commands inverse_dynamics/commands
-  inverse_dynamics simulate my_arm.urdf --ros-args -r imu:=/base/imu
+  inverse_dynamics simulate my_arm.urdf --ros-args -p joints:='[joint_1, joint_2]'
+  inverse_dynamics simulate my_arm.urdf --ros-args -r __ns:=/left -r commands:=my_commands
 
 The robot runs until Ctrl-C, in the ROS domain of ROS_DOMAIN_ID. Messages stay on this machine
 unless ROS_AUTOMATIC_DISCOVERY_RANGE is set.
@@ -55,13 +58,6 @@ def make_parser() -> argparse.ArgumentParser:
         '--driver', metavar='NAME', choices=DRIVERS, help='driver to imitate, from the list below'
     )
     parser.add_argument(
-        '--commands',
-        metavar='TOPIC',
-        help='topic of the commands, whose values are in the order of the joints in the URDF '
-        f'(default: the topic of --driver, otherwise {TORQUES.commands})',
-    )
-    parser.add_argument('--namespace', default='', help='namespace of the topics (default: none)')
-    parser.add_argument(
         '--sway',
         action='store_true',
         help='let the position controller move all joints back and forth until commands arrive',
@@ -70,18 +66,11 @@ def make_parser() -> argparse.ArgumentParser:
         '--friction', action='store_true', help='give the joints the friction of the URDF'
     )
     parser.add_argument(
-        '--held',
-        nargs='+',
-        default=[],
-        metavar='JOINT',
-        help='joints that hold their position and accept no commands, such as gripper joints',
-    )
-    parser.add_argument(
         '--rate',
         type=float,
         metavar='HZ',
         help='rate of joint states (default: the usual rate of --driver, otherwise '
-        f'{TORQUES.rate:g})',
+        f'{IDEAL.rate:g})',
     )
     return parser
 
@@ -90,28 +79,29 @@ def run(options: argparse.Namespace) -> int:
     """Run the robot until SIGINT or SIGTERM; return the exit code."""
     # Imported here, because few commands need ROS.
     from ..ros.middleware import stay_on_this_machine
-    from ..simulation.robot import main
+    from ..simulation.robot import simulate
 
     stay_on_this_machine()
-    driver = DRIVERS[options.driver] if options.driver else TORQUES
-    arguments = [str(options.urdf), '--drive', '--rate', str(options.rate or driver.rate)]
-    arguments += ['--driver', options.driver] if options.driver else []
-    arguments += ['--sway'] * options.sway + ['--friction'] * options.friction
-    arguments += ['--held', *options.held] if options.held else []
-    arguments += [*options.ros_arguments, '--ros-args']  # ROS applies the first remapping
-    arguments += ['-r', f'commands:={options.commands or driver.commands}']
+    driver = DRIVERS[options.driver] if options.driver else IDEAL
+    # ROS applies the first remapping that fits, so those of the user come first.
+    arguments = [*options.ros_arguments, '--ros-args', '-r', f'commands:={driver.commands}']
     arguments += ['-r', f'joint_states:={driver.joint_states}']
-    namespace = options.namespace.strip('/')
-    arguments += ['-r', f'__ns:=/{namespace}'] if namespace else []
-    return main(arguments)
+    return simulate(
+        options.urdf,
+        driver,
+        options.rate or driver.rate,
+        arguments,
+        sways=options.sway,
+        friction=options.friction,
+    )
 
 
 def _line(name: str) -> str:
     """Describe in one line how a driver differs from the default."""
     driver = DRIVERS[name]
     parts = {
-        f'takes {driver.form.value}': driver.form is not TORQUES.form,
-        'adds gravity to the commands': driver.adds_gravity,
+        f'takes {driver.form.value}': driver.form is not IDEAL.form,
+        'compensates gravity itself': driver.compensates_gravity,
         'measures efforts without gravity': not driver.measures_gravity,
         'takes commands that are not in N m': driver.command_unit != 1.0,
         'measures efforts that are not in N m': driver.measured_unit != 1.0,

@@ -38,8 +38,7 @@ from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from ..ros.middleware import start_ros
 from ..ros.qos import BEST_EFFORT
-from .mujoco.hardware import require_inertia
-from .mujoco.model import SimulationError
+from .mujoco import require_inertia, SimulationError
 from .trajectory import Oscillation, plan, start_pose
 
 HOLDS, LOADED, TOLD, END = 6.0, 8.0, 10.5, 13.0
@@ -360,7 +359,7 @@ def _commands(urdf: str) -> dict[str, list[str]]:
     return {
         'the simulated robot': [
             *('inverse_dynamics_node.cli.main', 'simulate', urdf),
-            *('--commands', 'inverse_dynamics/commands'),
+            *('--ros-args', '-r', 'commands:=inverse_dynamics/commands'),
         ],
         'the node': [
             *('inverse_dynamics_node.node.main', '--ros-args'),

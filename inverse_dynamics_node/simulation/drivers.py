@@ -12,11 +12,11 @@ import numpy as np
 from ..robot.model import Floats
 
 if TYPE_CHECKING:
-    from .mujoco.hardware import MujocoRobot
+    from .mujoco import MujocoRobot
 
 
 class Form(enum.Enum):
-    """The type of message in which a driver receives commands."""
+    """What a driver takes as a command."""
 
     EFFORTS = 'efforts in the order of the joints'
     """std_msgs/Float64MultiArray, as received by effort controllers of ros2_control."""
@@ -25,6 +25,12 @@ class Form(enum.Enum):
     MOTION = 'positions, velocities and efforts by name'
     """sensor_msgs/JointState, for drives with their own gains."""
     NONE = 'no commands'
+
+
+_FIELDS = {
+    Form.NAMED_EFFORTS: ('effort',),
+    Form.MOTION: ('effort', 'position', 'velocity'),
+}
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class Driver:
     """
 
     form: Form = Form.EFFORTS
-    adds_gravity: bool = False
+    compensates_gravity: bool = False
     """Whether the robot adds gravity efforts, and nothing else, to the commanded efforts."""
     measures_gravity: bool = True
     """Whether the measured efforts include the gravity efforts."""
@@ -60,19 +66,21 @@ class Driver:
     """Whether the driver belongs to a simulator, which publishes ``/clock``."""
 
 
-TORQUES = Driver()
+IDEAL = Driver()
 """The driver of an ideal robot."""
 _COMPLETE = 'inverse_dynamics/joint_commands'  # topic on which the node sends `Form.MOTION`
 _AMPERE = 0.1  # [A/N m]; an example, because UR does not publish the value
 _MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; for the large motors of an Interbotix wx250s
 
 DRIVERS = {
-    'franka_ros2': Driver(adds_gravity=True, joint_states='franka/joint_states', rate=1000.0),
-    'ur': Driver(adds_gravity=True, measured_unit=_AMPERE),
-    'ur_torques': Driver(adds_gravity=True, measures_gravity=False),
+    'franka_ros2': Driver(
+        compensates_gravity=True, joint_states='franka/joint_states', rate=1000.0
+    ),
+    'ur': Driver(compensates_gravity=True, measured_unit=_AMPERE),
+    'ur_torques': Driver(compensates_gravity=True, measures_gravity=False),
     'lbr_fri': Driver(
         Form.MOTION,
-        adds_gravity=True,
+        compensates_gravity=True,
         gains=(150.0, 0.0),
         commands=_COMPLETE,
         joint_states='lbr/joint_states',
@@ -113,15 +121,12 @@ def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command
     if driver.form is Form.EFFORTS:
         if len(message.data) != len(joints):
             raise ValueError(
-                f'the message has {len(message.data)} efforts, expected {len(joints)}; '
-                'use --held for joints without commands'
+                f'the message has {len(message.data)} efforts, expected {len(joints)}; to command '
+                'some joints only, set the parameter joints of the simulated robot'
             )
-        return Command(_finite(message.data, 'effort') / driver.command_unit)
-    efforts = _by_name(message, 'effort', joints) / driver.command_unit
-    if driver.form is Form.NAMED_EFFORTS:
-        return Command(efforts)
-    motion = (_by_name(message, field, joints) for field in ('position', 'velocity'))
-    return Command(efforts, *motion)
+        return Command(_finite('effort', message.data) / driver.command_unit)
+    efforts, *motion = (_by_name(message, field, joints) for field in _FIELDS[driver.form])
+    return Command(efforts / driver.command_unit, *motion)
 
 
 def _by_name(message: Any, field: str, joints: Sequence[str]) -> Floats:
@@ -129,14 +134,14 @@ def _by_name(message: Any, field: str, joints: Sequence[str]) -> Floats:
     missing = [joint for joint in joints if joint not in values]
     if missing:
         raise ValueError(f'the message has no {field} for {", ".join(missing)}')
-    return _finite([values[joint] for joint in joints], field)
+    return _finite(field, [values[joint] for joint in joints])
 
 
-def _finite(values: Any, what: str) -> Floats:
+def _finite(field: str, values: Any) -> Floats:
     array = np.array(values, float)
     if not np.isfinite(array).all():
-        article = 'an' if what == 'effort' else 'a'
-        raise ValueError(f'{article} {what} in the message is not finite')
+        article = 'an' if field == 'effort' else 'a'
+        raise ValueError(f'{article} {field} in the message is not finite')
     return array
 
 
@@ -145,17 +150,16 @@ class Actuation:
 
     def __init__(self, robot: MujocoRobot, driver: Driver) -> None:
         self.robot, self.driver = robot, driver
-        joints = robot.command_names
-        self._index = [robot.robot.joint_names.index(name) for name in joints]
-        self._state_index = [robot.state_names.index(name) for name in joints]
+        self._index = robot.command_index
+        self._state_index = [robot.state_names.index(name) for name in robot.command_names]
         inertia = robot.mass_matrix().diagonal()[self._index]
         self._kp, self._kd = (gain * inertia for gain in driver.gains)
-        self.command = Command(np.zeros(len(joints)))
+        self.command = Command(np.zeros(len(self._index)))
         """The latest command, which `act` applies."""
 
     def with_gravity(self, efforts: Floats) -> Floats:
-        """Return commanded efforts, shape (m,), plus gravity efforts if the robot adds them."""
-        return efforts + self._gravity() if self.driver.adds_gravity else efforts
+        """Return commanded efforts, shape (m,), plus gravity if the robot compensates it."""
+        return efforts + self._gravity() if self.driver.compensates_gravity else efforts
 
     def act(self) -> None:
         """Apply the efforts that result from the latest command and the state of the robot."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, RobotModel
-from .mujoco.model import SimulationError
+from .mujoco import SimulationError, with_unit_diagonal
 
 LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: of revolute and prismatic joints
 FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: adjacent joints differ
@@ -100,12 +100,6 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
         return float(np.linalg.eigvalsh(with_unit_diagonal(dynamics.mass_matrix(q)))[0])
 
     return max(easy, key=independence)
-
-
-def with_unit_diagonal(inertia: Floats) -> Floats:
-    """Scale a mass matrix to a unit diagonal; strong coupling then shows as a small eigenvalue."""
-    scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
-    return inertia * np.outer(scale, scale)
 
 
 def _too_weak(robot: RobotModel, efforts: Floats) -> str:

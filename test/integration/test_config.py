@@ -73,7 +73,13 @@ def test_files_of_drivers_name_their_source_and_the_topics_of_the_simulated_driv
         assert f'joint_states:=/{driver.joint_states}' in head
     if driver.form is not Form.NONE:
         assert f'/{driver.commands}' in head
-    assert driver.has_clock is parameters(path).get('use_sim_time', False)
+    given = parameters(path)
+    assert driver.has_clock is given.get('use_sim_time', False)
+    assert driver.compensates_gravity is not given['include_gravity']
+    includes = driver.measures_gravity or driver.compensates_gravity
+    assert includes is (given['measured_gravity'] != 'excluded')
+    if driver.measured_unit < 0.0:
+        assert given['measured_effort_scale'] == 1.0 / driver.measured_unit
 
 
 def test_joints_of_a_driver_are_those_of_the_robot():

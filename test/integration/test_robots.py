@@ -32,7 +32,6 @@ DURATION = 0.8  # [s]
 FILES = {'ur_torques': 'ur'}
 # What the user of this arm adds to the file.
 ADDED = {
-    'ur': {'measured_effort_scale': 10.0},
     'ur_torques': {'measured_gravity': 'excluded'},
     'openarm': {'mode': 'inverse_dynamics'},
     'dynamixel_current': {
@@ -41,7 +40,14 @@ ADDED = {
         'effort_limits': 33000.0,
     },
 }
-IN_EVERY_RUN = ('franka_ros2',)
+# One driver for each kind of convention; test_drivers.py and test_config.py are about all of them.
+KINDS = [
+    'franka_ros2',
+    *(
+        pytest.param(name, marks=pytest.mark.long)
+        for name in ('ur_torques', 'openarm', 'ros2_kortex', 'dynamixel_current', 'isaac_sim')
+    ),
+]
 
 
 def swing(elapsed):
@@ -184,13 +190,7 @@ def verdict(domain_id, side):
     return code, last
 
 
-@pytest.mark.parametrize(
-    'name',
-    [
-        pytest.param(name, marks=() if name in IN_EVERY_RUN else pytest.mark.long)
-        for name in DRIVERS
-    ],
-)
+@pytest.mark.parametrize('name', KINDS)
 def test_node_with_the_file_of_a_driver(run_node, robot, play, domain_id, name):
     arm = play(name)
     path = ROOT / 'config' / 'robots' / f'{FILES.get(name, name)}.yaml'

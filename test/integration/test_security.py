@@ -9,8 +9,6 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.node import InverseDynamicsNode
 from inverse_dynamics_node.ros.middleware import check_security
-from inverse_dynamics_node.simulation.drive import PositionDrive
-from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.robot import RobotNode
 from node_process import PATIENCE
 import pytest
@@ -72,8 +70,7 @@ def test_the_policy_covers_exactly_the_names_of_the_node(start):
 
 
 def simulated_robot(context):
-    robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0.0] * 6)
-    return RobotNode(robot, 0.5, drive=PositionDrive(robot, False), context=context)
+    return RobotNode(load_urdf(STANFORD), context=context)
 
 
 def program(context):

@@ -168,11 +168,15 @@ def test_launch_cuts_long_damping_short(run_node, robot):
 
 @contextmanager
 def simulated(domain_id, path, start):
-    """Run a simulated robot that its brakes hold at first."""
-    program = ['-m', 'inverse_dynamics_node.simulation.robot', path, '--rate', RATE]
-    options = ['--brake-release', 0.3, '--start', *start]
-    names = ['--ros-args', '-r', 'commands:=inverse_dynamics/commands']
-    process = SERVER.run([*program, *options, *names], {'ROS_DOMAIN_ID': str(domain_id)})
+    """Run a simulated robot that is held at first."""
+    remap = ['--ros-args', '-r', 'commands:=inverse_dynamics/commands']
+    arguments = f'{str(path)!r}, IDEAL, {RATE}, {remap}, start={list(start)}, release=0.3'
+    code = (
+        'from inverse_dynamics_node.simulation.drivers import IDEAL\n'
+        'from inverse_dynamics_node.simulation.robot import simulate\n'
+        f'simulate({arguments})'
+    )
+    process = SERVER.run(['-c', code], {'ROS_DOMAIN_ID': str(domain_id)})
     try:
         yield
     finally:
@@ -194,7 +198,7 @@ def test_an_arm_is_parked(domain_id, run_node, robot):
             stop_damping=DAMPING,
             stop_ramp=2.0,
         )
-        robot.wait_until(lambda: brakes and not brakes[-1], 'open brakes')
+        robot.wait_until(lambda: brakes and not brakes[-1], 'a robot that follows')
         example = [ROOT / 'examples' / 'park.py', 0.4, 'arm_2=1.2', 'arm_4=-0.6']
         environment = {'ROS_DOMAIN_ID': str(domain_id)}
         parking = SERVER.run(example, environment, stdout=subprocess.PIPE)

@@ -26,8 +26,7 @@ def guided(name, q, joint=None, share=1.0 - ERROR):
     """Return an arm of which one joint is free, and the node knows a share of the friction."""
     path = ROOT / 'test/robots' / f'{name}.urdf'
     robot = load_urdf(path)
-    held = [] if joint is None else [each for each in robot.joint_names if each != joint]
-    arm = SimulatedArm(path, q, GUIDED, held=held)
+    arm = SimulatedArm(path, q, GUIDED, joints=() if joint is None else (joint,))
     arm.dynamics.set_friction(share * robot.damping, share * robot.friction)
     arm.tip, arm.noise = ARMS[name], 0.003
     return arm

@@ -1,5 +1,5 @@
 """
-The position controller of a simulated robot, and the hand-over to commands.
+Who moves a simulated robot: its position controller, or the commands.
 
 The position controller holds the robot before commands arrive, after the commands stop, and after
 a joint has moved too fast.
@@ -14,12 +14,11 @@ import numpy as np
 
 from ..robot.model import Floats, RobotModel
 from .drivers import Actuation, Command
-from .mujoco.hardware import MujocoRobot
 
-BRAKING = 0.2  # [s]: braking time from any speed to rest
 _SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of revolute and prismatic joints
 _RANGE_FRACTION = 0.3  # largest sway as a fraction of the joint's range
 _SLOWEST, _STEP = 0.08, 0.013  # [Hz]: sway frequency of the first joint; increase per joint
+RELEASE = 1.5  # [s]: time for which commands must arrive before the hand-over
 GAP = 0.1  # [s]: a longer gap between commands restarts the wait for the hand-over
 SILENCE = 0.5  # [s]: after this time without commands, the position controller takes over
 STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this time
@@ -28,82 +27,8 @@ SPEED_FACTOR = 2.0  # speed bound divided by velocity limit, because a joint may
 NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: speed bounds of joints without a limit
 # Larger limits are placeholders. Smaller bounds would stop a robot that is pushed by hand.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
-BRAKING_MARGIN = 1.25  # factor on the speed bounds while the robot brakes
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
 COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of the same error
-
-
-class PositionDrive:
-    """
-    A position controller that holds the joints, like the built-in controller of a real robot.
-
-    With ``sways``, every joint moves slowly back and forth. The brakes of the robot must be open.
-    """
-
-    def __init__(self, robot: MujocoRobot, sways: bool) -> None:
-        self._robot = robot
-        model = robot.robot
-        ranges = np.where(model.is_continuous, math.inf, model.upper - model.lower)
-        largest = np.where(model.is_prismatic_joint, _SWAY[1], _SWAY[0])
-        self._amplitude = np.minimum(largest, _RANGE_FRACTION * ranges) if sways else 0.0 * largest
-        self._frequency = 2.0 * math.pi * (_SLOWEST + _STEP * np.arange(len(largest)))
-        self.is_on = False
-        self.take_over(0.0)
-
-    def take_over(self, now: float) -> None:
-        """Decelerate from the time ``now`` [s] on, and hold the robot where it comes to rest."""
-        self.is_on = True
-        self._start, self._began = self._robot.positions(), now
-        self._speed = self._robot.velocities()
-        model = self._robot.robot
-        with np.errstate(invalid='ignore'):  # infinite limits
-            middle = 0.5 * (model.lower + model.upper)
-        self._side = np.where(self._start > middle, -1.0, 1.0)
-
-    def stand_still(self, now: float) -> None:
-        """Stop swaying at the time ``now`` [s], so that the robot is at rest when released."""
-        self._amplitude = np.zeros_like(self._amplitude)
-        self.take_over(now)
-
-    def act(self, now: float) -> None:
-        """Apply the efforts of the position controller at the time ``now`` [s]."""
-        phase = self._frequency * (now - self._began)
-        reach = 0.5 * self._side * self._amplitude
-        position, velocity, acceleration = self._braking(now - self._began)
-        self._robot.hold(
-            position + reach * (1.0 - np.cos(phase)),
-            velocity + reach * self._frequency * np.sin(phase),
-            acceleration + reach * self._frequency**2 * np.cos(phase),
-        )
-
-    def _braking(self, elapsed: float) -> tuple[Floats, Floats, Floats]:
-        """Return position, velocity and acceleration ``elapsed`` seconds after braking began."""
-        time, rate = min(elapsed, BRAKING), math.pi / BRAKING
-        model = self._robot.robot
-        free = self._start + 0.5 * self._speed * (time + math.sin(rate * time) / rate)
-        # A joint that was pushed beyond a limit does not move any farther.
-        lowest = np.minimum(model.lower, self._start)
-        position = np.clip(free, lowest, np.maximum(model.upper, self._start))
-        moves = position == free
-        velocity = 0.5 * self._speed * (1.0 + math.cos(rate * time)) * moves
-        acceleration = -0.5 * self._speed * rate * math.sin(rate * time) * moves
-        return position, velocity, acceleration
-
-
-def velocity_bounds(robot: RobotModel) -> Floats:
-    """
-    Return the largest permitted speed of each joint, shape (n,) [rad/s or m/s].
-
-    The bounds are twice the velocity limits, clipped to a plausible range. Joints without a
-    velocity limit get a default bound.
-    """
-    slides = robot.is_prismatic_joint
-    default, least, most = (
-        np.where(slides, by_kind[1], by_kind[0]) for by_kind in (NO_LIMIT, LEAST, MOST)
-    )
-    limits = robot.velocity_limits
-    wanted = np.where(np.isfinite(limits), SPEED_FACTOR * limits, default)
-    return np.asarray(np.clip(wanted, least, most))
 
 
 class HandOver:
@@ -112,30 +37,42 @@ class HandOver:
 
     The commands take over after they have arrived for ``release`` seconds and their efforts have
     become steady. An earlier hand-over would drop the robot. Commands whose efforts do not become
-    steady take over after `LONGEST` seconds. The position controller ``drive`` takes over when the
-    commands stop, when `hold` is called, or when a joint becomes too fast. After a joint has
-    become too fast, commands are ignored until they pause. The brakes must be open. ``log`` is a
-    logger of rclpy or of Python.
+    steady take over after `LONGEST` seconds. The position controller takes over when the commands
+    stop, when `hold` is called, or when a joint becomes too fast. It stops the robot where it is,
+    as brakes do. After a joint has become too fast, commands are ignored until they pause.
 
+    With ``sways``, the position controller moves every joint slowly back and forth until the first
+    command arrives. ``log`` is a logger of rclpy or of Python.
     """
 
     def __init__(
-        self, actuation: Actuation, drive: PositionDrive, release: float, log: Any
+        self, actuation: Actuation, log: Any, sways: bool = False, release: float = RELEASE
     ) -> None:
-        self._actuation, self._drive, self._release, self._log = actuation, drive, release, log
-        self._robot = robot = actuation.robot
-        self._bounds = velocity_bounds(robot.robot)
+        self._actuation, self._release, self._log = actuation, release, log
+        self._robot = actuation.robot
+        model = self._robot.robot
+        self._bounds = velocity_bounds(model)
         self._last_command = self._flow_began = self._steady_since = -math.inf
-        self._steady_efforts = np.zeros(len(robot.command_names))
+        self._steady_efforts = np.zeros(len(self._robot.command_names))
         self._has_fault = self._is_requested = False
         self._complaint_due = -math.inf
+        self._start = self._robot.positions()
+        ranges = np.where(model.is_continuous, math.inf, model.upper - model.lower)
+        largest = np.where(model.is_prismatic_joint, _SWAY[1], _SWAY[0])
+        reach = 0.5 * np.minimum(largest, _RANGE_FRACTION * ranges) * sways
+        with np.errstate(invalid='ignore'):  # infinite limits
+            is_high = self._start > 0.5 * (model.lower + model.upper)
+        self._reach = np.where(is_high, -reach, reach)
+        self._frequency = 2.0 * math.pi * (_SLOWEST + _STEP * np.arange(len(reach)))
+        self.is_held = True
+        """Whether the position controller holds the robot."""
 
     def hold(self, wanted: bool, now: float) -> tuple[bool, str]:
         """Make the position controller hold or release the robot; return success and message."""
         self._is_requested = wanted
         self._flow_began = self._steady_since = now
         if wanted:
-            self._drive.stand_still(now)
+            self._take_over()
             return True, 'the position controller holds the robot; commands are ignored'
         if self._has_fault:
             return False, f'commands are ignored until they pause for {SILENCE} s'
@@ -146,14 +83,14 @@ class HandOver:
         """Handle a complete and finite command that arrives at the time ``now`` [s]."""
         if now - self._last_command > GAP:
             self._flow_began = self._steady_since = now
-            if self._drive.is_on:
-                self._drive.stand_still(now)
+            if self.is_held:
+                self._take_over()
         self._last_command = now
-        if self._drive.is_on:
+        if self.is_held:
             self._compare(self._actuation.with_gravity(command.efforts), now)
             if self._has_fault or self._is_requested or not self._is_due(now):
                 return
-            self._drive.is_on = False
+            self.is_held = False
             self._log.info('the robot follows the commands')
         self._actuation.command = command
 
@@ -172,49 +109,56 @@ class HandOver:
     def advance(self, now: float, duration: float) -> None:
         """Advance the simulation from the time ``now`` by a duration [s]."""
         if now - self._last_command > SILENCE:
-            self._handle_silence(now)
+            self._handle_silence()
         steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
         for i in range(steps):
             self._step(now + i * duration / steps, duration / steps)
 
-    def _handle_silence(self, now: float) -> None:
+    def _handle_silence(self) -> None:
         if self._has_fault:
             self._has_fault = False
             self._log.info('the commands have paused; the robot will follow the next commands')
-        if not self._drive.is_on:
-            self._drive.take_over(now)
+        if not self.is_held:
+            self._take_over()
             self._log.info('no commands arrive, so the position controller holds the robot')
 
+    def _take_over(self) -> None:
+        """Stop the robot, and hold it where it is."""
+        self.is_held = True
+        self._robot.stop()
+        self._start = self._robot.positions()
+        self._reach = np.zeros_like(self._start)
+
     def _step(self, now: float, duration: float) -> None:
-        if not self._drive.is_on:
+        if self.is_held:
+            phase = self._frequency * now
+            self._robot.track(
+                self._start + self._reach * (1.0 - np.cos(phase)),
+                self._reach * self._frequency * np.sin(phase),
+                self._reach * self._frequency**2 * np.cos(phase),
+            )
+        else:
             self._actuation.act()
-            speeds = self._robot.advance_within(duration, self._bounds)
-            if speeds is None:
-                return
+        speeds = self._robot.advance_within(duration, self._bounds)
+        if speeds is None:
+            return
+        excess = self._excess(speeds)
+        if not self.is_held:
             self._has_fault = True
-            self._drive.stand_still(now)
             self._log.error(
-                f'{self._excess(speeds)}, so the position controller brakes the robot and holds '
+                f'{excess}, so the position controller brakes the robot and holds '
                 'it. Check signs, units and payloads with the command inverse_dynamics watch. '
                 f'Commands are ignored until they pause for {SILENCE} s. To pause the commands, '
                 'set the parameter dry_run of the inverse dynamics node to true. Then remove the '
                 'cause, and set dry_run to false'
             )
-        self._drive.act(now)
-        speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)
-        if speeds is not None:
-            self._brake(self._excess(speeds), now)
-
-    def _brake(self, excess: str, now: float) -> None:
-        """Stop a robot that is too fast although the position controller holds it."""
-        self._robot.stop()
-        self._drive.take_over(now)
-        if now >= self._complaint_due:
+        elif now >= self._complaint_due:
             self._complaint_due = now + COMPLAINT_PERIOD
             self._log.error(
                 f'{excess} although the position controller holds the robot, so the brakes stop '
                 'it. A payload or a push may be too large for the effort limits of the URDF'
             )
+        self._take_over()
 
     def _excess(self, speeds: Floats) -> str:
         """Describe the joint that exceeds its speed bound the most."""
@@ -229,3 +173,19 @@ class HandOver:
             f"joint '{robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more than "
             f'its bound of {self._bounds[i]:.3g} {unit} ({source} in the URDF)'
         )
+
+
+def velocity_bounds(robot: RobotModel) -> Floats:
+    """
+    Return the largest permitted speed of each joint, shape (n,) [rad/s or m/s].
+
+    The bounds are twice the velocity limits, clipped to a plausible range. Joints without a
+    velocity limit get a default bound.
+    """
+    slides = robot.is_prismatic_joint
+    default, least, most = (
+        np.where(slides, by_kind[1], by_kind[0]) for by_kind in (NO_LIMIT, LEAST, MOST)
+    )
+    limits = robot.velocity_limits
+    wanted = np.where(np.isfinite(limits), SPEED_FACTOR * limits, default)
+    return np.asarray(np.clip(wanted, least, most))
