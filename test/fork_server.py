@@ -34,6 +34,7 @@ import tempfile
 import threading
 import weakref
 
+from late_compilation import report_late_compilation
 from robot_files import STANFORD
 
 MODULES = (
@@ -47,6 +48,7 @@ MODULES = (
     'scipy.interpolate',
     'yourdfpy',
 )
+MAIN = 'inverse_dynamics_node.node.main'
 ADDRESS = 'FORK_SERVER'  # environment variable with the path of the server's socket
 _LIBRARIES = sys.path[1:]
 _INTEGER = struct.Struct('i')
@@ -330,6 +332,8 @@ def become(request):
     program, *arguments = arguments
     sys.argv = [first, *arguments]
     sys.path[:] = [folder if first == '-m' else '', *_LIBRARIES]
+    if program == MAIN:
+        report_late_compilation()
     if first == '-m':
         runpy.run_module(program, run_name='__main__', alter_sys=True)
     else:

@@ -10,7 +10,6 @@ import threading
 
 from fork_server import SERVER
 
-MAIN = 'inverse_dynamics_node.node.main'
 RUNNING = []  # nodes of the test; an error in one of them ends the waiting
 PATIENCE = 120.0  # [s]; ten times as long as a loaded machine needs
 

@@ -11,8 +11,9 @@ import signal
 import sys
 import time
 
+from fork_server import MAIN
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from node_process import heed_signals, MAIN, NodeProcess
+from node_process import heed_signals, NodeProcess
 import numpy as np
 from rclpy.context import Context
 from robot_files import ROOT

@@ -219,8 +219,9 @@ def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:
 
 def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, Floats]]) -> None:
     """Set the total external force and moment on a body from wrenches in its URDF frame."""
-    store(row, EXTERNAL_FORCE, R_ZL @ sum((f for f, _ in wrenches), np.zeros(3)))
-    store(row, EXTERNAL_MOMENT, R_ZL @ sum((n for _, n in wrenches), np.zeros(3)))
+    force, moment = np.sum(wrenches, axis=0)
+    row[EXTERNAL_FORCE : EXTERNAL_FORCE + 3] = R_ZL @ force
+    row[EXTERNAL_MOMENT : EXTERNAL_MOMENT + 3] = R_ZL @ moment
 
 
 def joints_before(robot: RobotModel) -> Integers:

@@ -18,8 +18,9 @@ os.environ['PYTHONUNBUFFERED'] = '1'
 pytest.importorskip('rclpy')
 
 from domain_coordinator import domain_id as unused_domain_id
-from fork_server import SERVER
-from node_process import MAIN, NodeProcess, RUNNING
+from fork_server import MAIN, SERVER
+from late_compilation import REPORT
+from node_process import NodeProcess, RUNNING
 from rclpy.context import Context
 from robot_side import RobotSide
 from stalls import StalledMachineError, StallMeter, TOLERATED
@@ -97,6 +98,8 @@ def run_node(domain_id):
     for node in nodes:
         node.kill()
     RUNNING.clear()
+    for node in nodes:
+        assert REPORT not in node.output, node.output
 
 
 @pytest.fixture

@@ -9,13 +9,13 @@ import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
-from fork_server import SERVER
+from fork_server import MAIN, SERVER
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.runner import Watchdog
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from node_process import MAIN, PATIENCE
+from node_process import PATIENCE
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue
