@@ -293,7 +293,8 @@ class Sequence:
         self.send_state(self.steady, sorted(self.pick.sample(range(N), self.pick.randint(1, N))))
 
     def send_invalid(self):
-        offset = self.pick.choice([math.nan, math.inf, np.full(N, 1e300)])
+        without_one = np.where(np.arange(N) == self.pick.randrange(N), math.nan, 0.0)
+        offset = self.pick.choice([math.nan, without_one, math.inf, np.full(N, 1e300)])
         self.send_state(self.steady, offset=offset)
 
     def shift_positions(self):

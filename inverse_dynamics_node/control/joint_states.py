@@ -36,8 +36,10 @@ LONG_AGO = -1e300
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, with one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
-# Results of `store_joint_state`: `NOT_FINITE`, or `CONSISTENT` plus any of the later flags.
-NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED, LEAPT = 0, 1, 2, 4, 8
+# Rows of the flags, with one column per joint of the robot.
+_COMMANDED, _HAS_VELOCITY, _LOST = range(3)
+# Results of `store_joint_state`: `INFINITE`, or the sum of some of the other flags.
+INFINITE, STORED, ALTERNATING, JUMPED, LEAPT, LOST = -1, 1, 2, 4, 8, 16
 
 Numbers = Sequence[float] | Floats
 
@@ -69,8 +71,6 @@ class Layout:
     """Positions, velocities and efforts of the last message, shape (3, number of names)."""
     has_joints: bool
     """Whether the message names any joint of this robot."""
-    losses: int = -1
-    """`JointStateCollector._losses` when `_complete` last ran; -1 if a joint had no velocity."""
 
 
 class JointStateCollector:
@@ -115,18 +115,18 @@ class JointStateCollector:
         self.has_leapt = False
         """Like `has_jumped`, but only set when a commanded joint has moved too fast."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """Time after a joint's last velocity in which states without velocity are rejected [s]."""
+        """Time after a joint's last velocity in which states without velocity are ignored [s]."""
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the caller."""
         self.late_count = 0
         """Number of late joints that `rest_late` found, except commanded and locked joints."""
-        self._has_velocity = np.zeros(n, dtype=bool)
+        self._flags = np.zeros((3, n), dtype=bool)
+        self._is_commanded, self._has_velocity, self._has_lost_velocity = self._flags
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
-        self._losses = 0  # how often velocities were lost
         self._lock(locked or {}, commanded)
         self._is_free = self.times == -math.inf  # not locked
-        self._is_commanded = self._is_free & [
+        self._is_commanded[:] = self._is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
         self._tracks = make_tracks(n, robot)
@@ -162,20 +162,25 @@ class JointStateCollector:
         efforts: Numbers = (),
     ) -> bool:
         """
-        Store one joint state completely, or raise an error and store nothing.
+        Store one joint state, or raise an error and store nothing.
 
         ``now`` is the time of arrival [s]. ``layout`` is the result of the method `layout` for the
         names in the message. ``positions`` has one value for each name. ``velocities`` and the
-        measured ``efforts`` have one value for each name, or are empty. A velocity is required
-        if the joint had one less than `velocity_timeout` ago. Otherwise, missing and NaN
-        velocities are stored as zero.
+        measured ``efforts`` have one value for each name, or are empty.
 
-        The result is true if the message names a joint of the robot. A JointStateError is raised
-        if the lengths differ, if a position is not finite, if a velocity is infinite, or if a
-        required velocity is missing or NaN.
+        NaN means that a value is not reported in this message. A joint without position is
+        ignored, as if the message did not name it. A joint without velocity is ignored too if it
+        had a velocity less than `velocity_timeout` ago. Otherwise, its velocity is stored as zero.
+        An unmeasured effort is stored as NaN.
+
+        The result is true if the state of any joint of the robot was stored. A message without
+        joints of the robot is ignored. Otherwise, a JointStateError is raised if the lengths
+        differ, or if a position or velocity is infinite.
 
         """
         names = layout.names
+        if not layout.has_joints:
+            return False
         if len(positions) != len(names):
             raise JointStateError(f'received {len(names)} names, but {len(positions)} positions')
         if len(velocities) not in (0, len(names)):
@@ -189,23 +194,29 @@ class JointStateCollector:
         has_efforts = len(efforts) > 0
         if has_efforts:
             received[2] = efforts
-        arguments = (received, layout.places, self._known, self._tracks, self._is_commanded)
-        result = (
-            store_joint_state(*arguments, now, has_efforts)
-            if layout.losses == self._losses
-            else NOT_FINITE
+        result = store_joint_state(
+            received,
+            layout.places,
+            self._known,
+            self._tracks,
+            self._flags,
+            now,
+            self.velocity_timeout,
+            has_efforts,
         )
-        if result == NOT_FINITE:
-            self._complete(layout, now)
-            result = store_joint_state(*arguments, now, has_efforts)
+        if result == INFINITE:
+            raise self._infinite(layout)
+        if result & LOST:
+            self.lost_velocities += self._named(self._has_lost_velocity)
+            self._has_lost_velocity[:] = False
         if result & JUMPED:
             self.has_jumped = True
             self.has_leapt |= bool(result & LEAPT)
         if result & ALTERNATING or self.has_alternating:
             self._find_alternating()
-        if layout.has_joints:
+        if result & STORED:
             self._find_oldest()
-        return layout.has_joints
+        return bool(result & STORED)
 
     def state(self) -> State | None:
         """Return the latest state; None until all unlocked joints have been reported."""
@@ -307,36 +318,13 @@ class JointStateCollector:
             if name in locked:
                 raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
-    def _complete(self, layout: Layout, now: float) -> None:
-        """Replace unmeasured velocities with zeros; raise a JointStateError for invalid values."""
+    def _infinite(self, layout: Layout) -> JointStateError:
+        """Name the first infinite value of a message."""
         in_robot, in_message = layout.places
-        q, qd = layout.received[:2, in_message]
-        is_finite = np.isfinite(qd)
-        self._reject('position', q, np.isfinite(q), in_robot)
-        has_velocity, times = self._has_velocity[in_robot], self.times[in_robot]
-        # A velocity that is missing briefly is a fault. A velocity that stays missing may have
-        # come from another publisher, such as ros2 topic pub.
-        is_recent = (now >= times) & (now < times + self.velocity_timeout)
-        is_missing = np.isnan(qd)
-        is_lost = has_velocity & is_missing & ~is_recent
-        is_optional = ~(has_velocity & is_recent)
-        self._reject('velocity', qd, is_finite | (is_missing & is_optional), in_robot)
-        if is_lost.any():
-            self.lost_velocities += [self.joint_names[i] for i in in_robot[is_lost]]
-            self._losses += 1  # every layout is checked again
-        is_new = is_finite & ~has_velocity & (times > LONG_AGO)
-        self.has_jumped |= bool((is_lost | is_new | (times == LONG_AGO)).any())
-        self._has_velocity[in_robot] = (has_velocity & ~is_lost) | is_finite
-        layout.losses = self._losses if self._has_velocity[in_robot].all() else -1
-        layout.received[1, in_message] = np.where(is_finite, qd, 0.0)
-
-    def _reject(
-        self, quantity: str, values: Floats, is_valid: Booleans, in_robot: Integers
-    ) -> None:
-        if not is_valid.all():
-            k = int(np.argmin(is_valid))
-            joint = self.joint_names[in_robot[k]]
-            raise JointStateError(f"{quantity} of joint '{joint}' is {values[k]}")
+        values = layout.received[:2, in_message]
+        row, k = np.argwhere(np.isinf(values))[0]
+        quantity, joint = ('position', 'velocity')[row], self.joint_names[in_robot[k]]
+        return JointStateError(f"{quantity} of joint '{joint}' is {values[row, k]}")
 
     def _named(self, flags: Booleans) -> list[str]:
         return list(compress(self.joint_names, flags))
@@ -366,7 +354,8 @@ def compile_kernels() -> None:
     compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
     compile_for(has_jumped, 'b1(f8[:,::1], i8, f8, f8)')
     compile_for(
-        store_joint_state, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)'
+        store_joint_state,
+        'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8, f8, b1)',
     )
 
 
@@ -394,53 +383,74 @@ def store_joint_state(
     places: Any,
     known: Any,
     tracks: Any,
-    is_commanded: Any,
+    flags: Any,
     now: float,
+    velocity_timeout: float,
     has_efforts: bool,
 ) -> int:
     """
-    Store a message if all positions and velocities are finite; otherwise change nothing.
+    Store the reported joints of a message; if a value is infinite, change nothing.
 
     - ``received`` contains positions, velocities and efforts of the l joints in a message, shape
-      (3, l).
+      (3, l). NaN means that a value is not reported.
     - ``places`` contains the indices of the k joints to store, shape (2, k). Row 0 refers to the
       robot, row 1 to the message.
     - ``known`` receives positions, velocities, times and efforts, shape (4, n). While positions of
       an uncommanded joint alternate, its stored position stays the same, and its velocity is 0.
     - ``tracks`` comes from `position_tracks.make_tracks`.
-    - ``now`` is the time [s].
+    - ``flags`` says which joints are commanded, have a velocity, and have lost it, shape (3, n).
+    - ``now`` is the time [s]. ``velocity_timeout`` is as in `JointStateCollector` [s].
 
-    The result is `NOT_FINITE` if a position or velocity is not finite. Otherwise, the result is
-    `CONSISTENT` plus any of the following flags:
+    The result is `INFINITE` if a position or velocity is infinite. Otherwise, the result is the
+    sum of any of the following flags:
 
+    - `STORED`: a joint was stored.
     - `ALTERNATING`: the positions of a joint alternate faster than the joint can move.
-    - `JUMPED`: a joint has apparently moved faster than it can, and the new position is stored.
+    - `JUMPED`: `JointStateCollector.has_jumped` has to be set.
     - `LEAPT`: a commanded joint has apparently moved faster than it can.
+    - `LOST`: the velocity of a joint is no longer reported.
 
     """
     in_robot, in_message = places[0], places[1]
-    for k in range(len(in_robot)):
-        j = in_message[k]
-        if not (math.isfinite(received[_POSITION, j]) and math.isfinite(received[_VELOCITY, j])):
-            return NOT_FINITE
-    result = CONSISTENT
+    for j in in_message:
+        if math.isinf(received[_POSITION, j]) or math.isinf(received[_VELOCITY, j]):
+            return INFINITE
+    result = 0
     for k in range(len(in_robot)):
         i, j = in_robot[k], in_message[k]
-        is_known = known[TIME, i] > LONG_AGO
-        elapsed = now - known[TIME, i] if is_known else math.inf
-        is_jump = has_jumped(tracks, i, received[_POSITION, j], elapsed)
+        position, velocity, last = received[_POSITION, j], received[_VELOCITY, j], known[TIME, i]
+        has_velocity, had_velocity = not math.isnan(velocity), flags[_HAS_VELOCITY, i]
+        # A velocity that is missing briefly is a fault. A velocity that stays missing may have
+        # come from another publisher, such as ros2 topic pub.
+        is_required = had_velocity and last <= now < last + velocity_timeout
+        if math.isnan(position) or (is_required and not has_velocity):
+            continue
+        is_known = last > LONG_AGO
+        if has_velocity:
+            is_new = is_known and not had_velocity
+        else:
+            velocity, is_new = 0.0, had_velocity
+            if had_velocity:
+                flags[_LOST, i] = True
+                result |= LOST
+        flags[_HAS_VELOCITY, i] = has_velocity
+        if is_new or last == LONG_AGO:
+            result |= JUMPED
+        elapsed = now - last if is_known else math.inf
+        is_jump = has_jumped(tracks, i, position, elapsed)
         elapsed = max(0.0, elapsed) if is_known else -1.0
-        is_alternating = track(tracks, i, received[_POSITION, j], elapsed)
+        is_alternating = track(tracks, i, position, elapsed)
         if is_alternating:
             result |= ALTERNATING
-        if is_alternating and not is_commanded[i]:
+        if is_alternating and not flags[_COMMANDED, i]:
             known[VELOCITY, i] = 0.0
         else:
             if is_jump:
-                result |= JUMPED | LEAPT if is_commanded[i] else JUMPED
-            known[POSITION, i] = received[_POSITION, j]
-            known[VELOCITY, i] = received[_VELOCITY, j]
+                result |= JUMPED | LEAPT if flags[_COMMANDED, i] else JUMPED
+            known[POSITION, i] = position
+            known[VELOCITY, i] = velocity
         known[TIME, i] = now
         if has_efforts:
             known[EFFORT, i] = received[_EFFORT, j]
+        result |= STORED
     return result

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from ..control.control_law import Reference
-from ..control.joint_states import JointStateCollector
+from ..control.joint_states import JointStateCollector, Layout
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
@@ -105,7 +105,7 @@ class Inputs:
         now = self._runner.now()
         try:
             layout, positions, velocities, measured = self._reader.read(data)
-            efforts = self._measured_efforts(len(layout.names), measured)
+            efforts = self._measured_efforts(layout, measured)
             is_ours = loop.collector.store(now, layout, positions, velocities, efforts)
         except JointStateError as error:
             self._runner.reject('joint_states', error)
@@ -116,10 +116,11 @@ class Inputs:
         if is_ours and self._runner.is_active and self._runner.configuration.update_rate == 0.0:
             self._runner.step(now)
 
-    def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
+    def _measured_efforts(self, layout: Layout, measured: Floats) -> Floats | tuple[()]:
         """Return the measured efforts, which may be NaN, or () if no output needs efforts."""
-        if not self._runner.outputs.uses_measured_efforts:
+        if not (self._runner.outputs.uses_measured_efforts and layout.has_joints):
             return ()
+        count = len(layout.names)
         if len(measured) == count:
             return measured
         if len(measured):  # the positions are still used

@@ -83,15 +83,30 @@ def test_nan_is_never_passed_on(run_node, robot):
         robot.wait_for_text(node, f"acceleration of joint '{NAMES[5]}' is")
         robot.publish_reference(NAMES, QDD, [bad] * 6)
         robot.wait_for_text(node, f"effort of joint '{NAMES[0]}' is")
-    robot.publish_state(NAMES, [math.nan, *Q[1:]], QD)
-    robot.wait_for_text(node, f"position of joint '{NAMES[0]}' is nan")
-    robot.publish_state(NAMES, Q, [*QD[:5], math.nan])
-    robot.wait_for_text(node, f"velocity of joint '{NAMES[5]}' is nan")
+    robot.publish_state(NAMES, [math.inf, *Q[1:]], QD)
+    robot.wait_for_text(node, f"position of joint '{NAMES[0]}' is inf")
+    robot.publish_state(NAMES, [math.nan] * 6, [math.nan] * 6)
     count = len(robot.commands)
     publish_shuffled_state(robot)
     robot.wait_until(lambda: len(robot.commands) > count, 'another command')
     assert np.isfinite(robot.commands).all()
     assert {len(command) for command in robot.commands} == {6}
+
+
+@pytest.mark.parametrize('locked', [False, True])
+def test_an_arm_starts_and_goes_on_beside_a_gripper_whose_position_is_nan(run_node, robot, locked):
+    parameters = {**PATIENT, 'joints': f'[{", ".join(NAMES[:5])}]'}
+    if locked:
+        parameters[f'locked_positions.{NAMES[5]}'] = Q[5]
+    node = run_node(**parameters)
+    zeros = np.zeros(5)
+    if not locked:
+        robot.publish_state(NAMES, Q, [*zeros, 0.0])
+        robot.wait_for_command(DYNAMICS.gravity_efforts(Q)[:5])
+    moved = [*(Q[:5] + 0.1), Q[5]]
+    robot.publish_state(NAMES, [*moved[:5], math.nan], [*zeros, math.nan])
+    robot.wait_for_command(DYNAMICS.gravity_efforts(moved)[:5])
+    assert 'dropped' not in node.output
 
 
 def test_bytes_that_are_not_a_joint_state_are_dropped_with_a_message(run_node, robot):

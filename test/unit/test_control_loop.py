@@ -1,12 +1,10 @@
 """Steps of the whole control loop, and its continuation with another robot description."""
 
-import contextlib
 import math
 
 from inverse_dynamics_node import (
     ConfigurationError,
     InverseDynamics,
-    JointStateError,
     load_urdf,
 )
 from inverse_dynamics_node.control.contact import ExternalEffortEstimator
@@ -309,6 +307,19 @@ def test_external_efforts_are_zero_if_the_measured_efforts_are_as_described(incl
     assert efforts == pytest.approx(np.zeros(6), abs=1e-9)
 
 
+def test_a_joint_whose_values_are_always_nan_has_no_external_effort_and_no_influence():
+    loop = ControlLoop(MODEL, NAMES[:5], AT_ONCE, locked={NAMES[5]: Q[5]})
+    gravity = InverseDynamics(MODEL).gravity_efforts(Q)
+    for k in range(300):
+        positions, zeros = [*Q[:5], math.nan], [*np.zeros(5), math.nan]
+        efforts = [*gravity[:5] + 1.0, math.nan]
+        store_state(loop.collector, 0.01 * k, NAMES, positions, zeros, efforts)
+        assert loop.step(0.01 * k).efforts == pytest.approx(gravity[:5])
+        external = loop.external_efforts()
+    assert external[:5] == pytest.approx(np.ones(5))
+    assert math.isnan(external[5])
+
+
 def test_measured_efforts_are_scaled():
     hold = InverseDynamics(MODEL, (1.0, 0.0, -9.6))
     hold.set_payload(TIP, 2.0, (0.0, 0.0, 0.1))
@@ -349,8 +360,7 @@ def test_states_without_velocities_are_used_again_before_the_state_is_lost():
     loop = report_all(ControlLoop(MODEL, settings=Settings(start_ramp=0.0, state_timeout=0.1)))
     for k in range(1, 200):
         now = 0.01 * k
-        with contextlib.suppress(JointStateError):
-            store_state(loop.collector, now, NAMES, Q, [])
+        store_state(loop.collector, now, NAMES, Q, [])
         assert loop.step(now).efforts.any()
         assert loop.controller.phase is Phase.FLOATING
     assert loop.collector.lost_velocities == list(NAMES)
