@@ -284,7 +284,9 @@ class Observer:
             for values in (positions, velocities, efforts)
         ]
         filtered = low_pass.update(received, np.array(signals), _LONGEST_GAP)
-        ours = [k for k, name in enumerate(names) if name in self._index]
+        # A position that is NaN is not reported in this message.
+        is_reported = ~np.isnan(positions)
+        ours = [k for k, name in enumerate(names) if name in self._index and is_reported[k]]
         index = [self._index[names[k]] for k in ours]
         self._positions[index] = positions[ours]
         self._filtered[:, index] = filtered[:, ours]

@@ -9,6 +9,7 @@ from pathlib import Path
 import time
 
 from ..errors import ConfigurationError, JointStateError
+from ..robot.model import Floats
 from .cdr import JointStateReader, stamp_of
 from .observer import Observer
 
@@ -23,7 +24,8 @@ class StateRows:
     """
     Converts serialized joint states to CSV rows, with columns for the joints seen by `note`.
 
-    A joint state may contain only some of the joints. Cells without a value are empty.
+    A joint state may contain only some of the joints. Cells without a value, or with NaN, are
+    empty.
     """
 
     def __init__(self) -> None:
@@ -56,8 +58,12 @@ class StateRows:
         except JointStateError:
             return []
         unknown = [None] * len(names)
-        values = (x.tolist() if len(x) == len(names) else unknown for x in arrays)
+        values = (_reported(x) if len(x) == len(names) else unknown for x in arrays)
         return list(zip(names, *values, strict=True))
+
+
+def _reported(values: Floats) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 class JointStateRecorder:

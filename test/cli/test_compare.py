@@ -279,6 +279,33 @@ def test_unknown_and_missing_joints_are_reported(short, here, capsys):
     assert 'Joints that were not recorded and are assumed to rest at zero: joint_1' in output
 
 
+@pytest.mark.parametrize(('write', 'name'), [(write_bag, 'run'), (write_csv, 'run.csv')])
+def test_a_joint_of_which_all_values_are_nan_was_not_recorded(write, name, short, tmp_path):
+    k = short.joint_names.index('joint_1')
+    signals = short._asdict()
+    names = signals.pop('joint_names')
+    is_known, times = np.arange(6) != k, signals.pop('times')
+    without = Recording(
+        names[:k] + names[k + 1 :],
+        times,
+        **{what: np.delete(values, k, axis=1) for what, values in signals.items()},
+    )
+    unknown = short._replace(
+        **{what: np.where(is_known, values, np.nan) for what, values in signals.items()}
+    )
+    read = []
+    for folder, recording in (('without', without), ('NaN', unknown)):
+        (tmp_path / folder).mkdir()
+        write(tmp_path / folder / name, recording)
+        read.append(read_measured_states(tmp_path / folder / name, JOINTS))
+    (expected, notes), (found, found_notes) = read
+    text = 'joints that were not recorded and are assumed to rest at zero: joint_1'
+    assert notes == found_notes == (text,)
+    assert found.joint_names == expected.joint_names == JOINTS[1:]
+    for one, other in zip(found[1:], expected[1:], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
     urdf = ROOT / 'test' / 'robots' / 'mimic_gripper.urdf'
     robot = load_urdf(urdf)

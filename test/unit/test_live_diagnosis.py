@@ -203,6 +203,20 @@ def test_joints_without_effort_are_left_out():
     assert agreement.faults[0].joints == ('joint_2',)
 
 
+def test_a_joint_whose_position_was_never_reported_rests_at_zero():
+    robot = load_urdf(ROBOTS['stanford'])
+    _, samples = samples_of()
+    dynamics, q, qd = InverseDynamics(robot), samples.q.copy(), samples.qd.copy()
+    q[:, 5] = qd[:, 5] = 0.0
+    modelled = dynamics.efforts(q, qd, np.zeros_like(q))
+    measured = modelled.copy()
+    q[:, 5] = qd[:, 5] = measured[:, 5] = np.nan
+    samples = LiveSamples(samples.joint_names, samples.times, q, qd, measured, modelled)
+    assert diagnose_samples(samples, robot, GRAVITY).outcome is Outcome.AGREE
+    fault = diagnose_samples(flipped(samples, 'joint_2'), robot, GRAVITY).faults[0]
+    assert (fault.kind, fault.joints) == (FaultKind.SIGN, ('joint_2',))
+
+
 def test_window_keeps_its_duration():
     window = LiveWindow(('a', 'b'), 1.0)
     for k in range(100):

@@ -222,7 +222,8 @@ def diagnose_samples(
     """
     Compare measured and modelled efforts.
 
-    The samples contain all joints, in the order of `robot`. `gravity`, in the frame of the base
+    The samples contain all joints, in the order of `robot`. Joints whose positions were never
+    reported are assumed to rest at zero, as in recordings. `gravity`, in the frame of the base
     link [m/s^2], is required even if the modelled efforts exclude gravity. By default, `limits`
     are the effort limits of the robot. A payload consists of a link, a mass [kg], and the centre
     of mass in the frame of the link [m].
@@ -234,6 +235,8 @@ def diagnose_samples(
     columns = np.flatnonzero(2 * is_known.sum(axis=0) > known_rows).tolist()
     if len(samples.times) >= MIN_SAMPLES and not np.isfinite(samples.measured).any():
         return Agreement(Outcome.UNDECIDED, Obstacle.NO_EFFORTS)
+    is_reported = np.isfinite(samples.q).any(axis=0)
+    samples = samples._replace(q=np.where(is_reported, samples.q, 0.0))
     rows = is_known[:, columns].all(axis=1) & np.isfinite(samples.q).all(axis=1)
     if not columns or rows.sum() < MIN_SAMPLES:
         return Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)

@@ -34,7 +34,8 @@ def read_measured_states(
     1. `mimic_names` are joints of the robot that mimic other joints.
 
     Return the recording, and notes about ignored and missing data. The joints have the order of
-    `joint_names`, and the times start at zero. Joints that the robot does not have are ignored.
+    `joint_names`, and the times start at zero. Joints that the robot does not have are ignored. A
+    joint without any position and effort was not recorded, even if its columns exist.
     Raise RecordingError if the recording is unreadable or contains no effort of the robot.
     """
     if not path.exists():
@@ -170,18 +171,20 @@ def _recording(
 ) -> tuple[Recording, tuple[str, ...]]:
     """Select the recorded joints of the robot, and describe all other joints in notes."""
     recorded = list(recorded)
-    known = [j for j, name in enumerate(joint_names) if name in recorded]
-    if not known:
+    named = [j for j, name in enumerate(joint_names) if name in recorded]
+    if not named:
         found = 'no joint names'
         if recorded:
             found = f'no joint of this robot, only {", ".join(recorded)}'
         raise RecordingError(f'{where}: has {found}; expected some of {", ".join(joint_names)}')
     finite = np.isfinite(values)
-    if not finite[:, 2, known].any():
+    if not finite[:, 2, named].any():
         raise RecordingError(
             f'{where}: all efforts of the joints of this robot are empty or NaN, expected '
             'measured efforts'
         )
+    # Drivers report NaN for a joint without sensor; its speed alone does not say where it is.
+    known = [j for j in named if finite[:, (0, 2), j].any()]
     without_position = [j for j in known if not finite[:, 0, j].any()]
     if without_position:
         name = joint_names[without_position[0]]
@@ -204,7 +207,7 @@ def _recording(
             name for name in recorded if name in mimic_names
         ],
         'joints that were not recorded and are assumed to rest at zero': [
-            name for name in joint_names if name not in recorded
+            name for j, name in enumerate(joint_names) if j not in known
         ],
         'joints without measured efforts, which are not evaluated': [
             joint_names[j] for j in known if not finite[:, 2, j].any()
