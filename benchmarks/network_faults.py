@@ -27,8 +27,9 @@ import time
 from typing import Any, NamedTuple
 
 from faulty_network import enter, MACHINES, Network, run_first
+from fork_server import MAIN
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from node_process import heed_signals, MAIN, NodeProcess, RUNNING
+from node_process import heed_signals, NodeProcess, RUNNING
 import numpy as np
 from rclpy.context import Context
 from robot_side import RATE, RobotSide
