@@ -356,7 +356,9 @@ def main() -> int:
 
 def run(network: Network, options: argparse.Namespace) -> int:
     """Run all faults and print the table; return the exit code."""
-    parameters = {'robot_description_file': ROBOT}
+    # The motion may be as fast as it likes: faults of the network must not look like an arm that
+    # is pushed, whose efforts fade.
+    parameters = {'robot_description_file': ROBOT, 'velocity_limits': 0.0}
     machine = network.machines['node']
     domain_id = os.environ['ROS_DOMAIN_ID']
     node = NodeProcess(domain_id, (), parameters, ('-m', MAIN), lambda: enter(machine), False)

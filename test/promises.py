@@ -11,6 +11,7 @@ import math
 
 from inverse_dynamics_node.control import stop_damping
 from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
@@ -25,6 +26,7 @@ PAUSE, SETTLING = 0.1, 0.2  # [s]; after a pause, old messages may arrive for as
 FACTOR, LATENESS, LONGEST_STEP = 2.0, 0.03, 0.1  # of motion: of the speed limit, [s], [s]
 WRONG_WAY = 0.1  # [rad, m]; after which a wrong sign of the velocities has been found
 WINDOW = 0.02  # [s]; many small steps may be no motion either
+NEAR, RETURN = 0.85, 0.3  # [speed limits], [s]; efforts fade near a limit, and return later
 TIMEOUTS = {
     'wrench': lambda node: node.settings.wrench_timeout,
     'imu': lambda node: 0.2,
@@ -81,6 +83,8 @@ class Promises:
         self.stopped_with, self.stopped_at = None, None  # settings and first positions of a stop
         self.damped = 0  # commands with damping
         self.gate_time, self.gate_fallen = None, 0.0
+        self.was_limited = False
+        self.restrained = np.full(n, -math.inf)  # when a joint was last near its speed limit
 
     def load(self, now, act, kind):
         """Apply a load; if it is renewed in time, it may act at once."""
@@ -146,7 +150,10 @@ class Promises:
         settings = self.node.settings
         if controller.phase in COMPUTING_PHASES:
             self._check_computed(now, efforts, step)
-        elif controller.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+        elif (
+            controller.phase in (Phase.STOPPED, Phase.LIMIT_STOP)
+            or settings.on_stale_state is StalePolicy.ZERO
+        ):
             self._check_fall(now, efforts, passed, step)
         else:
             # Damping is not held.
@@ -155,6 +162,7 @@ class Promises:
             self._check_shrinking(efforts, last)
         if sent is not None or self.last_sent is not None:
             self._check_sent(efforts, sent, passed, step)
+        self.was_limited = controller.phase is Phase.LIMIT_STOP
         self.last = efforts
         self.last_sent = None if sent is None else sent.copy()
 
@@ -180,10 +188,17 @@ class Promises:
         return step
 
     def _check_fall(self, now, efforts, passed, step):
+        is_limited = self.node.loop.controller.phase is Phase.LIMIT_STOP
+        if is_limited and not self.was_limited and self.fall_time is not None:
+            is_damped = (np.abs(self.last - self.left) > 0.0).any()
+            if is_damped or self.fall_time - self.ramp_passed > LIMIT_RAMP:
+                self.fall_time = None  # a limit stop replaces a slower fall
         if self.fall_time is None:
-            self.fall_time, self.fallen = self.node.settings.stop_ramp, 0.0
+            ramp = self.node.settings.stop_ramp
+            self.fall_time, self.fallen = min(ramp, LIMIT_RAMP) if is_limited else ramp, 0.0
             self.top, self.ramp_passed = self.last, 0.0
             self.stopped_at = self.node.loop.collector.q.copy()
+            self.fastest = np.zeros(len(efforts))  # [rad/s, m/s] since then
             change = np.abs(efforts - self.last)
             require((change <= ROUNDING).all(), 'a fall begins with a step', change)
         else:
@@ -191,7 +206,8 @@ class Promises:
             advanced = self.node.loop.controller.shaper.clock.step
             self.ramp_passed += advanced
             require(advanced <= step + 1e-9, 'a fall catches up', advanced, step)
-        self.left = max(0.0, 1.0 - self.ramp_passed / self.fall_time) * self.top
+        left = 1.0 - self.ramp_passed / self.fall_time if self.fall_time else 0.0
+        self.left = max(0.0, left) * self.top
         is_late = self.fallen > self.fall_time + 2.0 * self.base
         require(not (is_late and self.left.any()), 'a fall takes too long', self.left)
         self._check_damping(now, efforts - self.left)
@@ -203,11 +219,14 @@ class Promises:
         is_fresh = is_fresh and 0.0 <= now - loop.collector.time <= settings.state_timeout
         if not is_fresh or loop.controller.phase is not Phase.STOPPED:
             self.stopped_with = settings = None  # for the rest of this stop
+        if self.settling:
+            self.stopped_at = loop.collector.q.copy()  # old messages show no motion
         if not (np.abs(added) > ROUNDING).any():
             return
         require(settings is not None, 'damping without fresh states', added)
         self.damped += 1
         scale, qd = self.node.settings.effort_scale, loop.collector.qd
+        self.fastest = np.maximum(self.fastest, np.abs(qd))
         require(qd @ added / scale <= ROUNDING, 'damping drives the arm', added)
         # Parallel to the momenta of the commanded joints, and no faster than it was requested.
         full = -scale * settings.stop_damping * loop.dynamics.mass_matrix(loop.collector.q) @ qd
@@ -219,8 +238,11 @@ class Promises:
         require(share <= most + ROUNDING, 'damping rises too fast', share, most)
         require(late <= 2.0 * self.base, 'damping takes too long', late)
         way = np.abs(loop.collector.q - self.stopped_at)
-        is_wrong = self.node.has_wrong_sign and (way > WRONG_WAY).any()
-        require(not is_wrong, 'damping with the wrong sign', way, WRONG_WAY)
+        # States may have been late, and one more may be needed.
+        most = WRONG_WAY + (PAUSE + LATENESS) * self.fastest
+        is_watched = self.node.has_wrong_sign and not loop.dry_run.is_active
+        is_wrong = is_watched and (way > most).any()
+        require(not is_wrong, 'damping with the wrong sign', way, most)
 
     @staticmethod
     def _check_shrinking(efforts, last):
@@ -293,11 +315,16 @@ class Promises:
                 q = np.where(way > room, old.q, new.q)
                 motion = motion + np.abs(self._efforts(q, new) - before)
         motion = abs(settings.effort_scale) * (motion + new.applied - old.applied)
+        speeds = self.node.loop.robot.velocity_limits
+        limit = NEAR * min(1.0, self.node.settings.guiding_speed) * speeds
+        is_near = (np.abs(new.measured) > limit) | (way > limit * np.maximum(elapsed, 1e-3))
+        self.restrained[is_near] = new.time
         ramps = RAMPS * self.largest * (new.ramps - old.ramps) / SHORTEST_RAMP
         change = np.abs(new.efforts - old.efforts)
         bound = motion + ramps + ROUNDING
         if not math.isinf(settings.effort_rate_limits):
             bound = bound + settings.effort_rate_limits * (new.ramps - old.ramps)
+        bound = np.where(new.time - self.restrained <= RETURN, math.inf, bound)
         require((change <= bound).all(), 'a step beyond motion', change, bound)
         return is_motion
 

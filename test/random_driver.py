@@ -49,6 +49,8 @@ SETTINGS = {
     'effort_limits': [math.inf, 30.0],
     'effort_rate_limits': [math.inf, math.inf, 50.0],
     'wrench_timeout': [0.05, 0.1, 1.0],
+    'guiding_speed': [0.5, 1.0, 1.0],
+    'velocity_limits': [-1.0, -1.0, 0.0],
 }
 
 

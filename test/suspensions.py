@@ -27,6 +27,7 @@ DYNAMICS = InverseDynamics(MODEL)
 TOPIC = 'inverse_dynamics/joint_commands'  # efforts, and the measured motion that they are for
 PARAMETERS = {
     'robot_description_file': FILE,
+    'velocity_limits': 0.0,  # otherwise efforts fade while the arm moves at 1 rad/s
     # No command is lost while this process waits for the machine.
     f'qos_overrides./{TOPIC}.publisher.depth': 1000,
 }

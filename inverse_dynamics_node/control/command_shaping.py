@@ -303,7 +303,12 @@ class CommandShaper:
         command -= np.copysign(change, command)
         self._flags[:] = False
 
-    def fall(self, damping: Floats | None = None, limits: Floats | None = None) -> None:
+    def fall(
+        self,
+        damping: Floats | None = None,
+        limits: Floats | None = None,
+        within: float = math.inf,
+    ) -> None:
         """
         Ramp the commands down to zero, starting from the last command.
 
@@ -311,6 +316,7 @@ class CommandShaper:
         damping would exceed its limit, all damping efforts are scaled down by the same factor, so
         that the damping still opposes the motion.
         ``limits`` has shape (m,) [N m or N]; the default is the limits passed to `configure`.
+        A ramp that would last longer than ``within`` [s] is replaced by one that lasts so long.
 
         """
         if self._way is _Way.FALLING:
@@ -322,6 +328,8 @@ class CommandShaper:
             self._is_paused = self._was_paused = False
             self._top_gain, self._top_left = self.gain, self._left
             self._stop.begin(self.command, self._stop_ramp)
+        if self.time_to_fall > within:
+            self._stop.begin(self.command, within)
         fraction = self._stop.fraction
         # Scale the gain and the blend too, because computed efforts may soon continue.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left

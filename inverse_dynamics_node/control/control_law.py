@@ -128,6 +128,11 @@ class ControlLaw:
             return None
         return self._efforts(self._last_q, self._last_qd, self._last_reference)
 
+    def is_closed(self, phase: Phase) -> bool:
+        """Return whether a reference is followed with feedback of the positions."""
+        is_closed = self.settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
+        return is_closed and phase is Phase.RUNNING
+
     @property
     def followed(self) -> Reference | None:
         """The reference that the last command followed, if any."""

@@ -57,6 +57,8 @@ class State(NamedTuple):
     """Arrival time of each joint's state, shape (n,) [s]."""
     is_consistent: bool = True
     """False while positions of a commanded joint alternate; see `position_tracks`."""
+    has_velocity: Booleans | None = None
+    """Which joints have a measured velocity, shape (n,); None if all have one."""
 
 
 @dataclass
@@ -222,7 +224,9 @@ class JointStateCollector:
         """Return the latest state; None until all unlocked joints have been reported."""
         if self.time == -math.inf or self._other_time == -math.inf:
             return None
-        return State(self.q, self.qd, self.time, self.times, self.is_consistent)
+        return State(
+            self.q, self.qd, self.time, self.times, self.is_consistent, self._has_velocity
+        )
 
     def missing(self) -> list[str]:
         """Return the unlocked joints that were never reported."""

@@ -17,6 +17,7 @@ from .contact import ExternalEffortEstimator
 from .control_law import ControlLaw, DriveReference, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
+from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
 from .settings import MeasuredGravity, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, StateSupervisor
@@ -70,6 +71,9 @@ class Controller:
         self.law = ControlLaw(dynamics, self._index)
         self.stop_damping = StopDamping(dynamics, self._index)
         self.shaper = CommandShaper(self._index, period)
+        self.motion_limits = MotionLimits(dynamics, self._index)
+        self.motion_problem = '', -math.inf
+        """What the motion limits have found without stopping the arm, and when [s]."""
         command = self.shaper.command
         flags = self.shaper.is_saturated, self.shaper.is_slowed
         self._result = Command(command, *flags, sent=command)
@@ -94,6 +98,14 @@ class Controller:
         )
         self.settings, self.of_joint, self.limits = settings, of_joint, limits
         self.law.apply(settings, of_joint)
+        speed = of_joint['velocity_limits']
+        of_urdf = self.dynamics.robot.velocity_limits[self._index]
+        self.motion_limits.configure(
+            np.where(speed < 0.0, of_urdf, np.where(speed == 0.0, math.inf, speed)),
+            settings.guiding_speed,
+            of_joint['limit_margin'],
+            of_joint['limit_stiffness'],
+        )
         self.shaper.configure(
             of_joint['effort_scale'],
             limits,
@@ -151,10 +163,13 @@ class Controller:
         self.supervisor.is_stopping = True
 
     def resume(self) -> None:
-        """End a stop; the efforts continue from the last command."""
-        if self.is_stopping:
+        """End a stop or limit stop; the efforts continue from the last command."""
+        supervisor = self.supervisor
+        if supervisor.limit_stop:
+            self.motion_limits.reset()
+        if supervisor.is_stopping or supervisor.limit_stop:
             self.blend()  # even after a brief stop, because the reference may have been dropped
-        self.supervisor.is_stopping = False
+        supervisor.is_stopping, supervisor.limit_stop = False, ''
 
     def start(self) -> None:
         """Start with zero efforts; the start ramp begins in the first step with a fresh state."""
@@ -162,29 +177,46 @@ class Controller:
         self.stop_damping.end()
         self.law.reset()
         self.shaper.reset()
+        self.motion_limits.reset()
+
+    def limit_stop(self, reason: str) -> None:
+        """Let the efforts fall to zero at once, and keep them at zero until `resume`."""
+        self.stop_damping.end(reason if self.stop_damping.is_active else '')
+        self.supervisor.limit_stop = reason
 
     def pass_time(self, now: float) -> float:
         """Advance the clock of the ramps to ``now`` [s]; return the time step of the ramps [s]."""
         clock = self.shaper.clock
         if clock.advance(now):
             self.shaper.begin()
+            # Old messages may arrive together, which show no motion.
+            self.motion_limits.reset()
+            self.stop_damping.fall()
         return clock.step
 
     def command(
-        self, now: float, state: State | None, reference: Reference | None
+        self,
+        now: float,
+        state: State | None,
+        reference: Reference | None,
+        *,
+        is_live: bool = True,
     ) -> Command | None:
         """
         Compute the next command; return None before the first complete, fresh joint state.
 
         Call `pass_time` first. ``now`` is the time [s], measured by the same clock as the times of
         ``state`` and ``reference``. ``state`` is the latest joint state, and ``reference`` is the
-        latest reference. Pass None for a state or reference that has not arrived.
+        latest reference. Pass None for a state or reference that has not arrived. Unless
+        ``is_live``, the commands are not sent, and the motion limits only report.
 
         """
         settings, damping = self.settings, self.stop_damping
         supervisor, law, shaper = self.supervisor, self.law, self.shaper
         if damping.is_active and not supervisor.is_stopping:
             damping.end()
+        if state is not None and 0.0 <= now - state.time <= settings.state_timeout:
+            self._observe(now, state, is_live)
         blocking = supervisor.blocking_phase(now, state, settings.state_timeout, shaper.gain)
         if blocking is Phase.WAITING:
             shaper.clock.start()
@@ -194,15 +226,22 @@ class Controller:
             if not shaper.continues:
                 law.equilibrium = None  # the arm may have moved away from the old one
             phase = law.phase(now, state, reference)
-            tau = law.efforts(now, state, reference if phase is Phase.RUNNING else None)
-            if tau is not None and shaper.follow(tau, law.added):
-                supervisor.phase = phase
-                return self._result
+            is_following = phase is Phase.RUNNING
+            tau = law.efforts(now, state, reference if is_following else None)
+            if tau is not None:
+                added = self.motion_limits.restrain(
+                    state, tau, law.added, shaper.clock.step, is_following=is_following
+                )
+                if shaper.follow(tau, added):
+                    supervisor.phase = phase
+                    return self._result
             blocking = Phase.NO_SOLUTION
         else:
             law.forget()
         supervisor.phase = blocking
-        if blocking is Phase.STOPPED:
+        if blocking is Phase.LIMIT_STOP:
+            shaper.fall(within=LIMIT_RAMP)
+        elif blocking is Phase.STOPPED:
             clock = shaper.clock
             shaper.fall(damping.efforts(now, state, clock.step, clock.since), damping.limits)
         elif settings.on_stale_state is StalePolicy.ZERO:
@@ -210,6 +249,19 @@ class Controller:
         else:
             shaper.hold()
         return self._result
+
+    def _observe(self, now: float, state: State, is_live: bool) -> None:
+        """Stop the arm if its motion is beyond the limits; in a dry run, only remember it."""
+        phase = self.phase
+        is_computing = phase in COMPUTING_PHASES
+        is_following = phase is Phase.RUNNING or not is_computing or not is_live
+        problem = self.motion_limits.observe(state, is_following=is_following)
+        if problem is None or (problem.finding is Finding.JUMP and not self.law.is_closed(phase)):
+            return  # without feedback of the position, a jump is only blended in
+        if is_live and (is_computing or self.stop_damping.is_active):
+            self.limit_stop(problem.text)
+        elif not is_live:
+            self.motion_problem = problem.text, now
 
 
 class ControlLoop:
@@ -285,7 +337,10 @@ class ControlLoop:
             dry_run.begin(controller.shaper.time_to_fall)
             return True
         was_stopping, self.reference = controller.is_stopping, None
+        reason = controller.supervisor.limit_stop
         controller.start()
+        if reason:
+            controller.limit_stop(reason)
         if was_stopping:
             controller.stop()
         dry_run.end()
@@ -310,7 +365,8 @@ class ControlLoop:
             reference = self.reference = None
         if self.has_imu and self.lacks_imu:
             state = None
-        command = controller.command(now, state, reference)
+        is_live = not self.dry_run.is_active
+        command = controller.command(now, state, reference, is_live=is_live)
         if command is None:
             return None
         sent = self.dry_run.select(command.efforts, ramp_step)

@@ -153,6 +153,36 @@ class Settings:
         minimum=0.005,
         maximum=60.0,
     )
+    velocity_limits: PerJoint = setting(
+        -1.0,
+        'Speed limits of the commanded joints. -1: value in the URDF, 0: none',
+        'Beyond its limit, no effort acts in the direction in which a joint moves. A joint that '
+        'follows a reference beyond its limit stops the arm, as does any joint at twice the limit '
+        'that applies',
+        unit='rad/s, m/s',
+        minimum=-1.0,
+    )
+    guiding_speed: float = setting(
+        0.5,
+        'Fraction of the speed limits that applies while the arm follows no reference',
+        'The arm then floats, holds its position or is guided by hand. At twice this fraction, '
+        'the arm is stopped',
+        minimum=0.05,
+        maximum=1.0,
+    )
+    limit_margin: PerJoint = setting(
+        0.1,
+        'Distance from a position limit at which the spring of `limit_stiffness` begins',
+        unit='rad, m',
+        minimum=0.0,
+    )
+    limit_stiffness: PerJoint = setting(
+        0.0,
+        'Stiffness of a spring that pushes a joint away from its position limits. 0: no spring',
+        'The spring acts in every mode, and is damped. It never pulls towards the limit',
+        unit='N m/rad, N/m',
+        minimum=0.0,
+    )
     reference_timeout: float = setting(
         0.5,
         'Age after which a reference is ignored. 0: a reference is used until the next one',

@@ -24,6 +24,7 @@ _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
 _SLOW = 0.95  # the loop is too slow below this fraction of the requested rate
 _DISCOVERY = 1.0  # [s]; the discovery of a publisher may take this long
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
+_RECENT = 10.0  # [s]; a problem of the motion in a dry run is reported for this long
 _PAUSE = 5.0  # [s]; a longer standstill of simulated time is reported
 
 Judgement = tuple[Level, str]
@@ -32,6 +33,8 @@ Judgement = tuple[Level, str]
 def activity(now: float, loop: ControlLoop) -> str:
     """Describe what the active control loop does and why; ``now`` is in [s]."""
     doing = _computing(loop)
+    if loop.controller.phase is Phase.LIMIT_STOP:
+        doing = f'stopped: {loop.controller.supervisor.limit_stop}'
     if not doing:
         doing = f'{_consequence(loop)}: {_reason_to_stop(now, loop)}'
     return f'dry run: {doing}' if loop.dry_run.is_active else doing
@@ -165,6 +168,14 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
     ]
 
 
+def describe_motion(now: float, loop: ControlLoop) -> str:
+    """Describe what would have stopped the arm if the commands had been sent, or return ''."""
+    text, time = loop.controller.motion_problem
+    if not loop.dry_run.is_active or not 0.0 <= now - time <= _RECENT:
+        return ''
+    return f'the motion limits would stop the arm: {text}'
+
+
 def describe_light_joints(loop: ControlLoop) -> str:
     """Describe joints whose inertia is too small for their impedance gains, if there are any."""
     if loop.controller.settings.mode is not Mode.JOINT_IMPEDANCE:
@@ -197,6 +208,8 @@ def judge_loop(
     """Describe the loop, or warn that its rate is lower than requested; rates are in [Hz]."""
     if not around.is_active or loop is None:
         return Level.OK, around.state
+    if loop.controller.phase is Phase.LIMIT_STOP:
+        return Level.ERROR, activity(now, loop)
     if requested and 0.0 < rate < _SLOW * requested:
         return Level.WARN, f'only {rate:.1f} commands/s'
     return Level.OK, activity(now, loop)
@@ -226,6 +239,9 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return Level.ERROR, '; '.join(conflicts.values())
     if loop.controller.phase is Phase.STATE_LOST:
         return if_lost, describe_recovery(loop)
+    problem = describe_motion(now, loop)
+    if problem:
+        return Level.ERROR, problem
     warnings = [*describe_late(loop, now), *describe_implausible(loop).values()]
     if warnings:
         return Level.WARN, '; '.join(warnings)

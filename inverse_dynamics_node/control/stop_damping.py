@@ -10,7 +10,6 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import JointStateError
 from ..robot.model import Floats
 from .command_shaping import ramp_fraction
-from .control_law import shorter_way
 from .joint_states import State
 from .settings import Settings
 
@@ -20,21 +19,8 @@ TIMEOUT = 20.0
 """Longest time for which a stop is damped [s]; then the damping fades over the stop ramp."""
 # An arm that moves less than this distance within this time is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
-# Velocities contradict positions if the integral of the velocity differs from the change of
-# position. The permitted difference is a constant plus a fraction of the larger value plus an
-# allowance. Changes older than about a second are forgotten, so that noise does not add up. In
-# simulations with a delay of 5 ms and a noise of 0.01 rad/s, the constant had to be at least 0.003
-# for a stop from rest, and 0.015 for a stop from up to 2 rad/s, without the allowance. With the
-# allowance, a wrong sign was detected within 0.02 s at 2 rad/s, and within 0.12 s after a stop
-# from rest.
-_LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
-# After a pause of the computer, joint states arrive together, and the first of them are old. The
-# allowance permits this. It is the time between two states, at most _LONGEST_PAUSE, multiplied by
-# the smaller of their speeds, so that a single wrong velocity does not increase it. The largest
-# product counts, and fades within about a second. A pause right before the stop counts too. In 216
-# simulated stops with pauses of 10 to 90 ms, the damping ended too early in 4 stops with the
-# allowance, and in 30 without it.
-_LONGEST_PAUSE = 0.1  # [s]
+# A joint reverses if its velocity changes its sign between values of at least this magnitude.
+_LEAST_REVERSAL = 0.1  # [rad/s or m/s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
@@ -49,9 +35,12 @@ class StopDamping:
 
     The damping never drives the arm. The power of the damping is never positive. The damping
     efforts computed from one joint state cannot, even together, reverse the measured velocity. The
-    damping ends at once when joint states are lost. The damping also ends when velocities
-    contradict positions, because damping would drive a joint whose reported velocity has the wrong
-    sign.
+    damping ends at once when joint states are lost, and in a limit stop, because damping would
+    drive a joint whose velocity or effort has the wrong sign.
+
+    The damping falls at once, for example after a late joint state, and rises slowly, within the
+    stop ramp. States that are always late make a damped arm swing. The damping is therefore halved
+    each time a joint reverses, except for the first time.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
@@ -59,7 +48,6 @@ class StopDamping:
 
     def __init__(self, dynamics: InverseDynamics, index: list[int]) -> None:
         self._dynamics, self._index = dynamics, index
-        self._is_continuous = dynamics.robot.is_continuous[index]
         self.is_active = False
         """Whether the motion is damped, now or from the next command on."""
         self.report = ''
@@ -67,10 +55,11 @@ class StopDamping:
         self._scale = self.limits = np.zeros(len(index))
         self._longest = 0.0  # [s]; longest recent interval between commands
         self._passed = -1.0  # [s] since the first command of the stop; at first negative
-        self._q = self._qd = self._times = np.zeros(len(index))
+        self._applied = 0.0  # [1/s]; rate of decay that the last command applied
+        self._is_new = True  # whether the next command does not raise the damping
+        self._q = self._qd = self._times = self._rest = self._direction = np.zeros(len(index))
+        self._reversals = 0
         self._rest_since = 0.0  # [s]
-        self._rest = self._way = self._integral = self._allowance = self._q
-        self._pause = 0.0  # [s]; before the first command of the stop
 
     def begin(self, settings: Settings, scale: Floats, limits: Floats) -> None:
         """
@@ -84,12 +73,17 @@ class StopDamping:
         self._scale, self.limits, self._longest = scale, limits, 0.0
         self.is_active = settings.stop_damping > 0.0
         self._settings, self._passed, self.report = settings, -1.0, ''
-        self._way, self._integral, self._allowance = np.zeros((3, len(self._index)))
+        self._applied, self._is_new, self._reversals = 0.0, True, 0
+        self._direction = np.zeros(len(self._index))
         self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
         """End the damping until the next stop begins."""
         self.is_active, self.report = False, report or self.report
+
+    def fall(self) -> None:
+        """Let the damping fall to zero at once; it rises again within the stop ramp."""
+        self._applied, self._is_new = 0.0, True
 
     def efforts(self, now: float, state: State | None, step: float, since: float) -> Floats | None:
         """
@@ -104,10 +98,8 @@ class StopDamping:
             return None
         is_first = self._passed < 0.0
         self._passed = 0.0 if is_first else self._passed + step
-        if is_first:
-            self._pause = since
-        problem = self._track(now, state, is_first)
         settings = self._settings
+        problem = self._follow(now, state, is_first)
         late = max(0.0, self._passed - TIMEOUT)
         left = 1.0 - ramp_fraction(late, settings.stop_ramp) if late else 1.0
         if not problem and self._is_at_rest():
@@ -118,34 +110,26 @@ class StopDamping:
             self.end(problem)
             return None
         assert state is not None
-        factor = min(left, ramp_fraction(self._passed, settings.stop_ramp))
-        return self._damp(state, factor * self._rate(now - state.time, since))
+        wanted = left * self._rate(now - state.time, since) * 0.5 ** max(0, self._reversals - 1)
+        rise = ramp_fraction(0.0 if self._is_new else step, settings.stop_ramp)
+        self._is_new = False
+        self._applied = min(wanted, self._applied + rise * settings.stop_damping)
+        return self._damp(state, self._applied)
 
-    def _track(self, now: float, state: State | None, is_first: bool) -> str:
-        """Compare velocities with changes of position; return a problem, or ''."""
+    def _follow(self, now: float, state: State | None, is_first: bool) -> str:
+        """Store the motion of the commanded joints; return why it is unknown, or ''."""
         timeout = self._settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
             return 'the joint states are lost or contradictory'
         q, qd, times = (x[self._index] for x in (state.q, state.qd, state.times))
-        if not is_first:
-            elapsed = times - self._times
-            if not ((elapsed >= 0.0) & (elapsed <= timeout)).all():
-                return 'the joint states were lost'
-            way = shorter_way(q - self._q, self._is_continuous)
-            memory = np.maximum(0.0, 1.0 - elapsed / _MEMORY)
-            self._way = memory * (self._way + way)
-            self._integral = memory * (self._integral + 0.5 * elapsed * (self._qd + qd))
-            pause = np.minimum(np.maximum(elapsed, self._pause), _LONGEST_PAUSE)
-            slower = np.minimum(np.abs(self._qd), np.abs(qd))
-            self._allowance = np.maximum(pause * slower, memory * self._allowance)
-            self._pause = 0.0
+        elapsed = times - self._times
+        if not is_first and not ((elapsed >= 0.0) & (elapsed <= timeout)).all():
+            return 'the joint states were lost'
         self._q, self._qd, self._times = q, qd, times
-        size = np.maximum(np.abs(self._way), np.abs(self._integral))
-        bound = _LEAST_ERROR + _RELATIVE_ERROR * size + self._allowance
-        is_wrong = ~(np.abs(self._way - self._integral) <= bound)
-        if is_wrong.any():
-            joint = self._dynamics.robot.joint_names[self._index[int(np.argmax(is_wrong))]]
-            return f'the velocities of {joint} contradict its positions'
+        direction = np.where(np.abs(qd) >= _LEAST_REVERSAL, np.sign(qd), self._direction)
+        if (direction * self._direction < 0.0).any():
+            self._reversals += 1
+        self._direction = direction
         return ''
 
     def _is_at_rest(self) -> bool:

@@ -26,6 +26,7 @@ class Phase(enum.Enum):
     STATE_LOST = 'joint states lost'
     NO_SOLUTION = 'no finite efforts for this joint state and reference'
     STOPPED = 'stopped'
+    LIMIT_STOP = 'stopped by a motion limit'
 
 
 TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
@@ -122,13 +123,15 @@ class StateSupervisor:
         """Phase of the last command."""
         self.is_stopping = False
         """Whether a stop has been requested; the efforts may still be ramping down."""
+        self.limit_stop = ''
+        """Why the motion limits have stopped the arm; '' if they have not."""
         self._lost_gain = 0.0  # gain at which the states were lost
         self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
         self._fresh_since = math.inf  # arrival time of the first state after the last gap
 
     def start(self) -> None:
-        """Return to the phase `WAITING`, and clear a requested stop."""
-        self.is_stopping, self.phase = False, Phase.WAITING
+        """Return to the phase `WAITING`, and clear a requested stop and a limit stop."""
+        self.is_stopping, self.limit_stop, self.phase = False, '', Phase.WAITING
 
     def blocking_phase(
         self, now: float, state: State | None, timeout: float, gain: float
@@ -142,6 +145,8 @@ class StateSupervisor:
         """
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
             return Phase.WAITING
+        if self.limit_stop:
+            return Phase.LIMIT_STOP
         if self.is_stopping:
             return Phase.STOPPED
         return Phase.STATE_LOST if self._is_lost(now, state, timeout, gain) else None

@@ -20,13 +20,14 @@ from ..control.status_text import (
     describe_late,
     describe_light_joints,
     describe_lost_imu,
+    describe_motion,
 )
 from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
 _LONG_PERIOD = 10.0  # [s]; between repetitions of a problem that only a user can solve
-_ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
+_ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION, Phase.LIMIT_STOP)
 _MOST_CHANGES = 6  # at most this many changes of activity are logged within _PERIOD
 _MOST_MESSAGES = 3  # at most this many reports for each topic are logged within _PERIOD
 _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
@@ -145,6 +146,9 @@ class NodeLog:
             self._report_activity(now, loop, key)
         if loop.has_imu:
             self._report_imu(now, loop)
+        motion = describe_motion(now, loop)
+        if motion:
+            self.error('motion', motion)
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer

@@ -200,7 +200,7 @@ def _contradictions(checked: dict[str, Any]) -> list[str]:
             f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
         )
     # The value -1 stands for the value in the URDF. Other negative numbers are invalid.
-    for name in ('damping', 'coulomb'):
+    for name in ('damping', 'coulomb', 'velocity_limits'):
         numbers = np.atleast_1d(checked.get(name, 0.0))
         if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():
             value = checked[name]

@@ -27,7 +27,8 @@ MODEL = load_urdf(STANFORD)
 NAMES = list(MODEL.joint_names)
 TIP = MODEL.link_names[-1]
 Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-QD = np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.4])
+# So slow that positions that do not change do not contradict it within a second.
+QD = 0.05 * np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.4])
 QDD = np.array([0.5, 0.4, -0.3, 0.2, 0.1, -0.6])
 ZERO = np.zeros(6)
 PATIENT = {

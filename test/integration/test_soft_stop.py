@@ -1,7 +1,6 @@
 """Stops of a node that damps the motion of the arm: all four ways, and what ends the damping."""
 
 from contextlib import contextmanager
-import re
 import signal
 import subprocess
 import time
@@ -117,20 +116,13 @@ def test_the_motion_is_damped_until_the_arm_is_at_rest(run_node, robot, way, rat
 
 
 @pytest.mark.parametrize('way', ['disable', 'SIGTERM'])
-@pytest.mark.parametrize('fault', ['sign', 'lost'])
-def test_a_fault_leaves_the_ordinary_stop(run_node, robot, way, fault):
-    sign = -1.0 if fault == 'sign' else 1.0
-    node, motion = run_moving_arm(run_node, robot, sign, stop_ramp=2.0)
+def test_lost_states_leave_the_ordinary_stop(run_node, robot, way):
+    node, motion = run_moving_arm(run_node, robot, stop_ramp=2.0)
     first = len(robot.commands)
     stop(robot, node, way)
-    motion.is_lost = fault == 'lost'
+    motion.is_lost = True
     wait_for_end_of_stop(robot, node, way)
-    words = {
-        'sign': f'the velocities of {NAMES[0]} contradict its positions',
-        'lost': 'the joint states are lost',
-    }
-    (found,) = re.findall('stop damping ended: (.*)', node.output)
-    assert found.startswith(words[fault]) or (fault == 'sign' and 'contradict' in found)
+    assert 'stop damping ended: the joint states are lost' in node.output
     # Apart from the begin of the ramp, efforts fall, and the arm is not driven.
     efforts = np.abs(robot.commands[first:])
     efforts = efforts[len(efforts) // 2 :]

@@ -13,7 +13,7 @@ from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
-from states import Controller, joint_state, store_state
+from states import joint_state, store_state, unobserved, UnobservedController
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 Q, QD = np.array([0.4, -0.7]), np.array([0.3, 0.2])
@@ -54,7 +54,9 @@ class Watched:
     """Checks every command of a controller against the laws."""
 
     def __init__(self, first, accelerations):
-        self.controller = Controller(InverseDynamics(ROBOT), (), Settings(**first), PERIOD)
+        self.controller = UnobservedController(
+            InverseDynamics(ROBOT), (), Settings(**first), PERIOD
+        )
         self.most, self.has_started = PERIOD, False
         self.accelerations = np.array(accelerations)
         self.now, self.last = 100.0, np.zeros(2)
@@ -194,7 +196,7 @@ def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
     watched.step(0.01)
     for _ in range(60):
         watched.step(0.05)
-    fresh = Controller(ours.dynamics, (), Settings(**last | {'start_ramp': 0.0}))
+    fresh = UnobservedController(ours.dynamics, (), Settings(**last | {'start_ramp': 0.0}))
     reference = Reference(watched.accelerations, np.zeros(2), 0.0)
     expected = fresh.step(0.0, joint_state(Q, QD, 0.0), reference).efforts
     assert ours.phase in COMPUTING_PHASES
@@ -236,7 +238,7 @@ def set_load(loop, now, kind, value):
 )
 def test_efforts_change_no_faster_than_a_blend_whatever_loads_arrive(events, ramp, timeout):
     chosen = Settings(start_ramp=ramp, wrench_timeout=timeout, use_urdf_effort_limits=False)
-    loop, now, arrivals = ControlLoop(ROBOT, settings=chosen), 100.0, {}
+    loop, now, arrivals = unobserved(ControlLoop(ROBOT, settings=chosen)), 100.0, {}
     last, largest, at_once = np.zeros(2), np.zeros(2), np.zeros(2)
 
     def step():

@@ -9,7 +9,7 @@ from inverse_dynamics_node.control.supervision import Phase
 from kinematics import assert_close
 import numpy as np
 from random_trees import robots_with_states as cases
-from states import Controller, joint_state
+from states import joint_state, UnobservedController
 
 NO_LIMITS = {'start_ramp': 0.0, 'use_urdf_effort_limits': False, 'max_position_jump': 0.0}
 gains = st.sampled_from([0.0, 0.3, 1.0, 20.0])
@@ -17,7 +17,7 @@ gains = st.sampled_from([0.0, 0.3, 1.0, 20.0])
 
 def efforts(dynamics, q, qd, reference=None, before=None, **settings):
     """Return the efforts in one state, after a state at rest if one is given."""
-    controller = Controller(dynamics, (), Settings(**NO_LIMITS, **settings))
+    controller = UnobservedController(dynamics, (), Settings(**NO_LIMITS, **settings))
     if before is not None:
         controller.step(0.0, joint_state(before, np.zeros(len(q)), 0.0), None)
     found = controller.step(0.01, joint_state(q, qd, 0.01), reference).efforts.copy()

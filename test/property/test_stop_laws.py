@@ -6,7 +6,7 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.settings import Settings
 import numpy as np
 from robot_files import ROOT
-from states import Controller, joint_state
+from states import joint_state, UnobservedController
 
 ROBOT = load_urdf(ROOT / 'test/robots/gripper_arm.urdf')
 N = len(ROBOT.joint_names)
@@ -31,7 +31,7 @@ class Stop:
             start_ramp=0.0, effort_scale=tuple(self.scale.tolist()), **some_settings
         )
         names = [ROBOT.joint_names[i] for i in index]
-        self.controller = Controller(InverseDynamics(ROBOT), names, self.settings)
+        self.controller = UnobservedController(InverseDynamics(ROBOT), names, self.settings)
         self.random, self.noise = np.random.default_rng(seed), noise
         self.q = self.random.uniform(np.maximum(ROBOT.lower, -3), np.minimum(ROBOT.upper, 3))
         self.qd = self.random.uniform(-1.0, 1.0, N)

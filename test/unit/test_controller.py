@@ -9,7 +9,7 @@ from inverse_dynamics_node.control.supervision import Phase, recovery_time
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES
-from states import Controller, joint_state
+from states import joint_state, UnobservedController
 
 # Two point-like masses on two sliding joints, one above the other: efforts are sums of weights.
 LIFT = """
@@ -30,7 +30,7 @@ HOLD = np.array([30.0, 10.0])  # with gravity 10
 def controller(joints=(), period=0.1, **settings):
     dynamics = InverseDynamics(load_urdf(LIFT), gravity=(0.0, 0.0, -10.0))
     no_ramps = {'start_ramp': 0.0, 'stop_ramp': 0.0}
-    return Controller(dynamics, joints, Settings(**{**no_ramps, **settings}), period)
+    return UnobservedController(dynamics, joints, Settings(**{**no_ramps, **settings}), period)
 
 
 def state(time):
@@ -250,7 +250,7 @@ def test_names_the_joint_that_cannot_be_commanded(joints, words):
 def test_rejects_a_robot_without_joints():
     rock = load_urdf(NOTHING_MOVES)
     with pytest.raises(ConfigurationError, match="'rock' has no movable joints"):
-        Controller(InverseDynamics(rock))
+        UnobservedController(InverseDynamics(rock))
 
 
 def tracking(time, positions, velocities=(0.0, 0.0), accelerations=(0.0, 0.0)):
@@ -442,7 +442,7 @@ def test_continuous_joints_take_the_shorter_way():
     settings = Settings(
         mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0, use_urdf_effort_limits=False
     )
-    turning = Controller(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
+    turning = UnobservedController(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
     position = joint_state(np.array([3.1, 0.0]), np.zeros(2), 0.0)
     command = turning.step(0.0, position, tracking(0.0, [-3.1, 0.0]))
     distance = 2.0 * math.pi - 6.2
@@ -703,7 +703,7 @@ def test_a_reference_that_starts_at_the_largest_distance_is_followed():
 def test_full_turns_of_a_continuous_joint_make_no_difference():
     wheel = load_urdf(LIFT.replace('type="prismatic"', 'type="continuous"').replace('50"', '500"'))
     settings = Settings(mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0)
-    turning = Controller(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
+    turning = UnobservedController(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
     position = joint_state(np.array([6.0 * math.pi, 0.0]), np.zeros(2), 0.0)
     command = turning.step(0.0, position, tracking(0.0, [0.1, 0.0]))
     assert command.efforts == pytest.approx([0.2, 0.1])

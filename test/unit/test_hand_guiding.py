@@ -10,7 +10,7 @@ from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
-from states import Controller, joint_state, store_state
+from states import joint_state, store_state, unobserved, UnobservedController
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 NAMES = ROBOT.joint_names
@@ -24,7 +24,7 @@ GUIDED = Settings(mode=Mode.GRAVITY_COMPENSATION, start_ramp=0.0, use_urdf_effor
 def guided(**settings):
     dynamics = InverseDynamics(ROBOT)
     dynamics.set_friction(DAMPING, COULOMB)
-    return Controller(dynamics, (), replace(GUIDED, **settings))
+    return UnobservedController(dynamics, (), replace(GUIDED, **settings))
 
 
 def moving(time, qd=QD):
@@ -56,7 +56,7 @@ def test_guiding_damping_acts_against_the_motion():
 
 
 def test_guiding_damping_needs_no_friction():
-    arm = Controller(InverseDynamics(ROBOT), (), replace(GUIDED, guiding_damping=3.0))
+    arm = UnobservedController(InverseDynamics(ROBOT), (), replace(GUIDED, guiding_damping=3.0))
     assert arm.step(0.0, moving(0.0), None).efforts == pytest.approx(HOLD - 3.0 * QD)
 
 
@@ -70,10 +70,12 @@ def test_an_arm_at_rest_and_its_reference_add_nothing():
 def test_joints_in_another_order_and_others_than_the_commanded_ones():
     dynamics = InverseDynamics(ROBOT)
     dynamics.set_friction(DAMPING, COULOMB)
-    turned = Controller(dynamics, NAMES[::-1], replace(GUIDED, friction_scale=(0.9, 0.5)))
+    turned = UnobservedController(
+        dynamics, NAMES[::-1], replace(GUIDED, friction_scale=(0.9, 0.5))
+    )
     expected = (HOLD + [0.5, 0.9] * FRICTION)[::-1]
     assert turned.step(0.0, moving(0.0), None).efforts == pytest.approx(expected)
-    one = Controller(dynamics, NAMES[1:], replace(GUIDED, guiding_damping=1.0))
+    one = UnobservedController(dynamics, NAMES[1:], replace(GUIDED, guiding_damping=1.0))
     expected = (HOLD + 0.8 * FRICTION - QD)[1:]
     assert one.step(0.0, moving(0.0), None).efforts == pytest.approx(expected)
 
@@ -95,7 +97,7 @@ def test_friction_follows_the_filtered_velocity():
 
 @pytest.mark.parametrize('cutoff', [0.0, 20.0])
 def test_velocities_that_are_no_longer_reported_end_the_compensation(cutoff):
-    loop = ControlLoop(ROBOT, settings=replace(GUIDED, velocity_filter_cutoff=cutoff))
+    loop = unobserved(ControlLoop(ROBOT, settings=replace(GUIDED, velocity_filter_cutoff=cutoff)))
     loop.dynamics.set_friction(DAMPING, COULOMB)
     for k in range(300):
         now = 0.01 * k
@@ -111,7 +113,7 @@ def test_velocities_that_are_no_longer_reported_end_the_compensation(cutoff):
 
 
 def test_a_late_joint_that_is_not_commanded_no_longer_counts():
-    loop = ControlLoop(ROBOT, NAMES[1:], GUIDED)
+    loop = unobserved(ControlLoop(ROBOT, NAMES[1:], GUIDED))
     loop.dynamics.set_friction(0.0, 0.0, load_friction=1.0)
 
     def efforts(first, now):
@@ -144,7 +146,7 @@ def test_a_live_change_is_blended_while_motion_acts_at_once(change):
 
 
 def test_without_friction_its_term_is_not_computed():
-    arm = Controller(InverseDynamics(ROBOT), (), GUIDED)
+    arm = UnobservedController(InverseDynamics(ROBOT), (), GUIDED)
     arm.dynamics.effort_terms = None
     assert arm.step(0.0, moving(0.0), None).efforts == pytest.approx(HOLD)
 

@@ -10,7 +10,7 @@ from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
-from states import store_state
+from states import store_state, unobserved
 
 ARM = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 Q, QD = np.array([0.3, -0.2]), np.array([0.1, -0.4])
@@ -22,7 +22,7 @@ class Arm:
     """A loop that is fed with the same state and reference in every step."""
 
     def __init__(self, robot=ARM, **settings):
-        self.loop = ControlLoop(robot, settings=Settings(start_ramp=0.1, **settings))
+        self.loop = unobserved(ControlLoop(robot, settings=Settings(start_ramp=0.1, **settings)))
         self.loop.start()
         self.now = 0.0
 

@@ -12,7 +12,7 @@ from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
-from states import Controller, joint_state, store_state
+from states import joint_state, store_state, unobserved, UnobservedController
 
 TEXT = (ROOT / 'test/robots/planar_2r.urdf').read_text()
 ROBOT = load_urdf(TEXT)
@@ -33,7 +33,7 @@ SMOOTH = replace(HELD, start_ramp=0.5)
 
 
 def arm(settings=HELD, **changes):
-    return Controller(InverseDynamics(ROBOT), (), replace(settings, **changes))
+    return UnobservedController(InverseDynamics(ROBOT), (), replace(settings, **changes))
 
 
 def step(arm, now, q=Q, qd=REST, reference=None, received=None):
@@ -78,7 +78,7 @@ def test_the_reference_is_followed_with_its_velocities_accelerations_and_efforts
 
 
 def test_springs_belong_to_the_commanded_joints():
-    robot = Controller(InverseDynamics(ROBOT), NAMES[::-1], HELD)
+    robot = UnobservedController(InverseDynamics(ROBOT), NAMES[::-1], HELD)
     step(robot, 0.0)
     found = step(robot, 0.01, PUSHED)
     pull = (Q - PUSHED)[::-1]
@@ -140,7 +140,7 @@ def test_a_reference_after_a_switch_is_compared_with_the_measured_position(mode)
 
 def test_continuous_joints_take_the_shorter_way():
     wheel = load_urdf(TEXT.replace('"revolute"', '"continuous"'))
-    robot = Controller(InverseDynamics(wheel, (0.0, 0.0, 0.0)), (), HELD)
+    robot = UnobservedController(InverseDynamics(wheel, (0.0, 0.0, 0.0)), (), HELD)
     step(robot, 0.0, [3.1, 0.1])
     turned = 2.0 * math.pi - 6.2
     found = step(robot, 0.01, [-3.1, 0.1 - 4.0 * math.pi])
@@ -242,7 +242,7 @@ def test_a_suspension_does_not_move_the_equilibrium():
 
 def test_positions_that_jump_are_held_where_they_are_from_then_on():
     """After an encoder was reset, the old equilibrium is somewhere else."""
-    loop = ControlLoop(ROBOT, settings=SMOOTH)
+    loop = unobserved(ControlLoop(ROBOT, settings=SMOOTH))
     loop.dynamics.set_gravity((0.0, 0.0, 0.0))
     loop.loads.set_gravity((0.0, 0.0, 0.0))
     for k in range(300):

@@ -44,7 +44,7 @@ def test_every_default_is_valid_and_described(name):
         assert text.count('`') % 2 == 0
     # Each number is a quantity with a unit, except for factors and priorities.
     factors = ('effort_scale', 'measured_effort_scale', 'friction_scale', 'load_friction')
-    has_none = name in (*factors, 'drive_coupling', 'thread_priority')
+    has_none = name in (*factors, 'guiding_speed', 'drive_coupling', 'thread_priority')
     assert bool(parameter.unit) == (parameter.kind.is_numeric and not has_none)
 
 

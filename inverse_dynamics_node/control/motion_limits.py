@@ -1,0 +1,296 @@
+"""
+Notices an arm that runs away, and keeps efforts from driving joints beyond their limits.
+
+The efforts are right only if the model, the signs and the order of the joints are right. Four
+observations show that something is wrong: a joint is too fast, a position changes faster than the
+joint can move, the velocities of a joint contradict its positions, and the arm is too far from
+its reference. `MotionLimits` makes the first three, and the controller makes the last. Each of
+them is the reason for a limit stop. In a limit stop, the efforts fall to zero within `LIMIT_RAMP`
+and are not damped, because the sign of a command may be what is wrong.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..dynamics.jit import compile_for, compiled
+from ..errors import JointStateError
+from ..robot.model import Floats
+from .joint_states import State
+
+LIMIT_RAMP = 0.01
+"""Time in which the efforts fall to zero in a limit stop [s]."""
+_FADING = 0.1  # fraction of the speed limit over which efforts in the direction of motion fade
+_RETURN = 0.2  # [s]; time in which faded efforts return
+_QUICK_RETURN = 0.03  # [s]; the same for efforts that have begun to oppose the motion
+_OVERSHOOT = 1.1  # [speed limits]; a joint that follows a reference at its limit may overshoot
+_CLEARLY = 1.5  # a single state that exceeds a limit by this factor suffices, if positions agree
+_AGREEING = 1.2  # positions agree if they exceed the limit by this factor
+_LEAST_TIME = 0.004  # [s]; otherwise, the states must exceed the limit for this time
+_BURST = 0.06  # [s]; states may be delayed for this long and then arrive together
+_SHORTEST = 0.002  # [s]; shortest interval for a speed that is taken from positions
+_FILTER = 0.05  # [s]; time constant of a speed that is taken from positions
+_COARSE = 0.02  # [rad or m]; steps of coarse encoders
+_LONGEST = 0.5  # [s]; after a longer interval between states, the history begins anew
+# Velocities contradict positions if the integral of the velocity differs from the change of
+# position. The permitted difference is a constant plus a fraction of the larger value plus an
+# allowance. Changes older than about a second are forgotten, so that noise does not add up. In
+# simulations with a delay of 5 ms and a noise of 0.01 rad/s, the constant had to be at least 0.003
+# for a stop from rest, and 0.015 for a stop from up to 2 rad/s, without the allowance.
+_LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
+# After a pause of the computer, joint states arrive together, and the first of them are old. The
+# allowance permits this. It is the time between two states, at most _LONGEST_PAUSE, multiplied by
+# the smaller of their speeds, so that a single wrong velocity does not increase it. The largest
+# product counts, and fades within about a second.
+_LONGEST_PAUSE = 0.1  # [s]
+# Rows of `MotionLimits._rows`. Each column belongs to a commanded joint.
+_ROWS = 14
+_INDEX, _SPEED, _IS_CONTINUOUS, _TIME, _POSITION, _VELOCITY, _SHARE = range(7)
+# The history of a joint; see `observe_joints`.
+_PACE, _OVER, _WAY, _INTEGRAL, _ALLOWANCE, _ROOM_ABOVE, _ROOM_BELOW = range(7, _ROWS)
+
+
+class Finding(enum.IntEnum):
+    """What is wrong with the motion of a joint."""
+
+    NOTHING = 0
+    TOO_FAST = 1
+    CONTRADICTION = 2
+    JUMP = 3
+
+
+class Problem(NamedTuple):
+    """What is wrong with the motion, and a sentence about it."""
+
+    finding: Finding
+    text: str
+
+
+class MotionLimits:
+    """
+    Compares the motion of the commanded joints with their limits.
+
+    Two speed limits apply. While a joint follows a reference, its limit is ``speed``. While the
+    arm floats, holds its position or is guided by hand, the limit is the fraction ``guiding`` of
+    it. Efforts in the direction of motion fade over the last tenth of the limit, so that an arm
+    that is pushed by hand becomes heavier. Whoever pushes on meets the resistance of the arm's
+    own weight and inertia. At twice the limit, the arm is stopped.
+
+    A joint that follows a reference beyond its limit is driven by the efforts, so the arm is
+    stopped at once.
+
+    A one-sided spring and damper keeps each joint from its position limits. It begins ``margin``
+    before the limit. It never pulls towards the limit, so it takes energy out of the motion.
+
+    ``index`` contains the indices of the m commanded joints among the n joints of the robot.
+
+    """
+
+    def __init__(self, dynamics: InverseDynamics, index: list[int]) -> None:
+        self._dynamics, self._index = dynamics, index
+        robot = dynamics.robot
+        self._rows = np.zeros((_ROWS, len(index)))
+        self._rows[_INDEX], self._rows[_IS_CONTINUOUS] = index, robot.is_continuous[index]
+        self._found = np.zeros(2)
+        self._all = np.ones(len(robot.joint_names), dtype=bool)
+        self._none = np.zeros(len(index))
+        self.configure(robot.velocity_limits[index], 0.5, self._none, self._none)
+        self.reset()
+        compile_for(
+            observe_joints, 'i8(f8[:,::1], f8[::1], f8[::1], f8[::1], b1[::1], f8, f8[::1])'
+        )
+        compile_for(restrain, 'b1(f8[:,::1], f8[::1], f8[::1], f8, f8)')
+
+    def configure(self, speed: Floats, guiding: float, margin: Floats, stiffness: Floats) -> None:
+        """
+        Set the limits.
+
+        ``speed`` contains the speed limits, shape (m,) [rad/s or m/s]; inf means none. ``guiding``
+        is a fraction of them. ``margin`` [rad or m] and ``stiffness`` [N m/rad or N/m], shape
+        (m,), describe the springs before the position limits.
+
+        """
+        robot = self._dynamics.robot
+        self._rows[_SPEED], self._guiding = speed, guiding
+        self._stiffness = stiffness
+        self._lower = robot.lower[self._index] + margin
+        self._upper = robot.upper[self._index] - margin
+        self._has_springs = bool((stiffness > 0.0).any())
+
+    def reset(self) -> None:
+        """Forget the motion so far."""
+        self._rows[_TIME] = -math.inf
+        self._rows[_SHARE] = 1.0
+
+    def observe(self, state: State, *, is_following: bool) -> Problem | None:
+        """
+        Compare a joint state with the limits, and return what is wrong.
+
+        The same state may be given again. ``is_following`` says whether the arm follows a
+        reference.
+
+        """
+        factor = _OVERSHOOT if is_following else 2.0 * self._guiding
+        has_velocity = self._all if state.has_velocity is None else state.has_velocity
+        finding = Finding(
+            observe_joints(
+                self._rows, state.q, state.qd, state.times, has_velocity, factor, self._found
+            )
+        )
+        return self._describe(finding, factor) if finding else None
+
+    def restrain(
+        self, state: State, tau: Floats, added: Floats, step: float, *, is_following: bool
+    ) -> Floats:
+        """
+        Return the efforts to add to ``tau``, so that no effort drives a joint beyond its limits.
+
+        ``tau`` contains the computed efforts of all joints, shape (n,), and ``added`` the efforts
+        to add to those of the commanded joints, shape (m,) [N m or N]. ``step`` is the time step
+        of ramps [s].
+
+        """
+        result: Floats = added.copy()
+        restrain(self._rows, tau, result, 1.0 if is_following else self._guiding, step)
+        if self._has_springs:
+            result += self.springs(state)
+        return result
+
+    def springs(self, state: State) -> Floats:
+        """Return the efforts that push joints away from their limits, shape (m,) [N m or N]."""
+        q, qd = state.q[self._index], state.qd[self._index]
+        depth = np.maximum(q - self._upper, 0.0) - np.maximum(self._lower - q, 0.0)
+        depth[self._stiffness == 0.0] = 0.0
+        if not depth.any():
+            return self._none
+        try:
+            inertia = self._dynamics.mass_matrix(state.q).diagonal()[self._index]
+        except JointStateError:
+            return self._none
+        damping = 2.0 * np.sqrt(self._stiffness * inertia)
+        side = np.sign(depth)
+        pushing: Floats = -side * np.maximum(0.0, side * (self._stiffness * depth + damping * qd))
+        return pushing
+
+    def _describe(self, finding: Finding, factor: float) -> Problem:
+        k, value, robot = int(self._found[0]), float(self._found[1]), self._dynamics.robot
+        name = robot.joint_names[self._index[k]]
+        unit = 'm' if robot.is_prismatic_joint[self._index[k]] else 'rad'
+        if finding is Finding.TOO_FAST:
+            limit = min(1.0, factor) * self._rows[_SPEED, k]
+            text = f'{name} moved at {value:.3g} {unit}/s, limit {limit:.3g} {unit}/s'
+        elif finding is Finding.JUMP:
+            text = f'{name} jumped by {value:.3g} {unit}, which no motion explains'
+        else:
+            text = (
+                f'the velocities of {name} contradict its positions: it moved by {value:.3g} '
+                f'{unit}, but its velocities add up to {self._rows[_INTEGRAL, k]:.3g} {unit}'
+            )
+        self.reset()
+        return Problem(finding, text)
+
+
+@compiled
+def observe_joints(
+    rows: Any, q: Any, qd: Any, times: Any, has_velocity: Any, factor: float, found: Any
+) -> int:
+    """
+    Follow the motion of the commanded joints, and return a `Finding`.
+
+    ``rows`` has one column for each commanded joint. ``q``, ``qd``, ``times`` and ``has_velocity``
+    have one value for each joint of the robot. ``factor`` is the stop limit, as a multiple of the
+    speed limit. ``found`` receives the number of the joint, and its speed [rad/s or m/s] or its
+    change of position [rad or m]. The rows of the history are:
+
+    - `_PACE`: the velocity, or that of the positions if no velocity is measured
+    - `_OVER`: the time for which the velocity has exceeded the stop limit
+    - `_WAY`, `_INTEGRAL`, `_ALLOWANCE`: change of position, integral of the velocity, and the
+      permitted difference, over about a second
+    - `_ROOM_ABOVE`, `_ROOM_BELOW`: how far the joint may move in each direction; the room grows
+      at the stop limit, and shrinks as the joint moves in this direction
+
+    """
+    finding = 0
+    for k in range(rows.shape[1]):
+        i = int(rows[_INDEX, k])
+        elapsed = times[i] - rows[_TIME, k]
+        if elapsed == 0.0:
+            continue
+        speed, velocity, last = rows[_SPEED, k], qd[i], rows[_VELOCITY, k]
+        step = q[i] - rows[_POSITION, k]
+        rows[_TIME, k], rows[_POSITION, k], rows[_VELOCITY, k] = times[i], q[i], velocity
+        room = 2.0 * speed * _BURST + _COARSE
+        if not 0.0 <= elapsed <= _LONGEST:
+            rows[_PACE:_ROOM_ABOVE, k] = 0.0
+            rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)  # old states may follow
+            rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
+            continue
+        if rows[_IS_CONTINUOUS, k] != 0.0:
+            step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
+        if abs(step) > room:
+            rows[_PACE:_ROOM_ABOVE, k] = 0.0
+            rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)
+            rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
+            finding, found[0], found[1] = 3, k, step
+            continue
+        limit = factor * speed
+        shown = step / max(elapsed, _SHORTEST)
+        above = rows[_ROOM_ABOVE, k] + limit * elapsed - step
+        below = rows[_ROOM_BELOW, k] + limit * elapsed + step
+        if not min(above, below) >= 0.0 and speed < math.inf and finding == 0:
+            finding, found[0], found[1] = 1, k, abs(shown)
+        rows[_ROOM_ABOVE, k] = min(max(above, 0.0), room)
+        rows[_ROOM_BELOW, k] = min(max(below, 0.0), room)
+        if not has_velocity[i]:
+            rows[_PACE, k] += (shown - rows[_PACE, k]) * min(1.0, elapsed / _FILTER)
+            continue
+        rows[_PACE, k] = velocity
+        over = rows[_OVER, k]
+        if abs(velocity) <= limit:
+            rows[_OVER, k] = -1.0
+        else:
+            is_slowing = abs(velocity) < abs(last) and velocity * last > 0.0
+            rows[_OVER, k] = over + elapsed if over >= 0.0 and not is_slowing else 0.0
+            is_clear = abs(velocity) > _CLEARLY * limit and abs(shown) > _AGREEING * limit
+            if finding == 0 and (is_clear or rows[_OVER, k] >= _LEAST_TIME):
+                finding, found[0], found[1] = 1, k, abs(velocity)
+        memory = max(0.0, 1.0 - elapsed / _MEMORY)
+        way = memory * (rows[_WAY, k] + step)
+        integral = memory * (rows[_INTEGRAL, k] + 0.5 * elapsed * (last + velocity))
+        slower = min(abs(last), abs(velocity))
+        allowance = max(min(elapsed, _LONGEST_PAUSE) * slower, memory * rows[_ALLOWANCE, k])
+        rows[_WAY, k], rows[_INTEGRAL, k], rows[_ALLOWANCE, k] = way, integral, allowance
+        bound = _LEAST_ERROR + _RELATIVE_ERROR * max(abs(way), abs(integral)) + allowance
+        if finding < 2 and not abs(way - integral) <= bound:
+            finding, found[0], found[1] = 2, k, way
+    return finding
+
+
+@compiled
+def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> bool:
+    """
+    Reduce efforts that drive joints at their speed limits; return whether any was reduced.
+
+    ``added`` is changed in place. ``factor`` is the limit as a multiple of the speed limit. An
+    effort returns slowly, within `_RETURN`, so that it does not chatter. ``elapsed`` is the time
+    step of ramps [s].
+
+    """
+    is_reduced = False
+    for k in range(rows.shape[1]):
+        limit, pace = factor * rows[_SPEED, k], rows[_PACE, k]
+        effort = tau[int(rows[_INDEX, k])] + added[k]
+        is_driving = effort * pace > 0.0
+        share = min(1.0, rows[_SHARE, k] + elapsed / (_RETURN if is_driving else _QUICK_RETURN))
+        if is_driving and abs(pace) > (1.0 - _FADING) * limit:
+            share = min(share, max(0.0, (limit - abs(pace)) / (_FADING * limit)))
+        rows[_SHARE, k] = share
+        if share < 1.0:
+            added[k] -= (1.0 - share) * effort
+            is_reduced = True
+    return is_reduced

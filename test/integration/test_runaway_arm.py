@@ -1,0 +1,80 @@
+"""The node, as a process, stops an arm that runs away, until it is enabled again."""
+
+from contextlib import contextmanager
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from fork_server import SERVER
+from inverse_dynamics_node import load_urdf
+import numpy as np
+import pytest
+from robot_files import ROOT
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+from test_soft_stop import PATIENCE, run_moving_arm, ZERO
+
+ARM = ROOT / 'test/robots/seven_dof.urdf'
+JOINTS = load_urdf(ARM).joint_names
+
+
+def level_of_the_loop(messages):
+    """Return the level and the message of the control loop in the last diagnostics."""
+    found = [s for m in messages for s in m.status if s.name.endswith('loop')]
+    return (found[-1].level, found[-1].message) if found else (None, '')
+
+
+def test_wrong_velocities_stop_the_arm_until_it_is_enabled(run_node, robot):
+    diagnostics = robot.listen(DiagnosticArray, '/diagnostics')
+    node, motion = run_moving_arm(run_node, robot, sign=-1.0)
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    robot.wait_for_text(node, 'contradict its positions')
+    assert '[ERROR]' in node.output
+    assert 'stopped: the velocities of joint_' in node.output
+    robot.wait_until(
+        lambda: level_of_the_loop(diagnostics)[0] == DiagnosticStatus.ERROR, 'diagnostics'
+    )
+    assert 'stopped: the velocities of joint_' in level_of_the_loop(diagnostics)[1]
+    motion.sign = 1.0
+    motion.rest()
+    count = len(robot.commands)
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=True)).success
+    robot.wait_until(lambda: np.any(robot.commands[-1]), 'efforts after the stop')
+    assert len(robot.commands) > count
+
+
+@contextmanager
+def simulated(domain_id):
+    """Run a simulated robot that takes its commands from a relay."""
+    remap = ['-r', 'commands:=relay/commands']
+    process = SERVER.run(
+        ['-m', 'inverse_dynamics_node.cli.main', 'simulate', str(ARM), '--ros-args', *remap],
+        {'ROS_DOMAIN_ID': str(domain_id)},
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+
+
+@pytest.mark.parametrize('fault', ['sign', 'order'])
+def test_wrong_commands_stop_the_arm(domain_id, run_node, robot, fault):
+    """One command with the wrong sign, and commands in alphabetical order."""
+    pytest.importorskip('mujoco')
+    order = np.argsort(JOINTS) if fault == 'order' else np.arange(len(JOINTS))
+    factor = np.ones(len(JOINTS))
+    factor[JOINTS.index('elbow')] = -1.0 if fault == 'sign' else 1.0
+    relay = robot.node.create_publisher(Float64MultiArray, 'relay/commands', 10)
+    robot.node.create_subscription(
+        Float64MultiArray,
+        'inverse_dynamics/commands',
+        lambda m: relay.publish(Float64MultiArray(data=(factor * m.data)[order].tolist())),
+        10,
+    )
+    states = robot.listen(JointState, 'joint_states')
+    with simulated(domain_id):
+        robot.wait_until(lambda: states, 'the simulated robot')
+        node = run_node(robot_description_file=str(ARM), start_ramp=0.1, state_timeout=0.5)
+        robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
+        robot.wait_for_text(node, ': stopped: ')
+        robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')

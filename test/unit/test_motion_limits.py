@@ -1,0 +1,225 @@
+"""An arm that runs away is noticed and stopped, and an arm that does not goes on."""
+
+import math
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
+from inverse_dynamics_node.control.settings import Mode, Settings
+from inverse_dynamics_node.control.supervision import Phase
+import numpy as np
+import pytest
+from robot_files import ROOT
+from states import store_state
+
+ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+NAMES, SPEED = ROBOT.joint_names, ROBOT.velocity_limits
+Q = np.array([0.4, -0.7])
+PERIOD = 0.005
+FREE = {'start_ramp': 0.0, 'stop_ramp': 0.5, 'use_urdf_effort_limits': False}
+
+
+class Arm:
+    """A control loop, and the joint states that it receives: of joints at given speeds."""
+
+    def __init__(self, **settings):
+        self.loop = ControlLoop(ROBOT, settings=Settings(**FREE | settings))
+        self.loop.start()
+        self.now, self.q = 1.0, Q.copy()
+
+    def move(self, qd, duration=PERIOD, reported=1.0, period=PERIOD):
+        """Move at constant speed; return the commands."""
+        commands = []
+        for _ in range(max(1, round(duration / period))):
+            self.now += period
+            self.q = self.q + period * np.asarray(qd)
+            store_state(self.loop.collector, self.now, NAMES, self.q, reported * np.asarray(qd))
+            commands.append(self.loop.step(self.now).efforts.copy())
+        return np.array(commands)
+
+    def follow(self, qd, duration):
+        """Follow a reference that moves with the arm; return the commands."""
+        commands = []
+        for _ in range(round(duration / PERIOD)):
+            q = self.q + PERIOD * np.asarray(qd)
+            self.loop.reference = Reference(np.zeros(2), np.zeros(2), self.now, q, np.array(qd))
+            commands += [*self.move(qd)]
+        return np.array(commands)
+
+    @property
+    def reason(self):
+        return self.loop.controller.supervisor.limit_stop
+
+
+def test_a_joint_that_is_too_fast_stops_the_arm_and_is_named():
+    arm = Arm(mode=Mode.COMPUTED_TORQUE)
+    before = arm.follow((0.3, 0.0), 0.1)[-1]
+    assert np.abs(before).max() > 1.0
+    after = arm.follow((0.3, -1.3 * SPEED[1]), 0.05)
+    assert arm.loop.controller.phase is Phase.LIMIT_STOP
+    speed, limit = f'{1.3 * SPEED[1]:.3g}', f'{SPEED[1]:.3g}'
+    assert arm.reason == f'{NAMES[1]} moved at {speed} rad/s, limit {limit} rad/s'
+    assert not after[-1].any()
+    first = int(np.flatnonzero((after == after[-1]).all(axis=1))[0])
+    assert first * PERIOD <= 3.0 * PERIOD + LIMIT_RAMP
+
+
+def test_a_stop_lasts_until_the_node_is_enabled_and_then_efforts_rise():
+    arm = Arm(start_ramp=0.1)
+    arm.move((2.2 * SPEED[0], 0.0), 0.05)
+    assert arm.reason
+    assert not arm.move((0.0, 0.0), 1.0)[20:].any()
+    arm.loop.controller.resume()
+    rising = arm.move((0.0, 0.0), 0.3)
+    assert not arm.reason
+    assert rising[-1] == pytest.approx(InverseDynamics(ROBOT).gravity_efforts(arm.q))
+    assert (np.abs(np.diff(rising, axis=0)) <= 1.01 * np.abs(rising[-1]) * PERIOD / 0.1).all()
+
+
+def test_a_restart_ends_a_limit_stop_and_the_end_of_a_dry_run_does_not():
+    arm = Arm()
+    arm.move((2.2 * SPEED[0], 0.0), 0.05)
+    arm.loop.switch_dry_run(is_wanted=True)
+    arm.move((0.0, 0.0), 2.0)
+    arm.loop.switch_dry_run(is_wanted=False)
+    assert not arm.move((0.0, 0.0), 0.1).any()
+    assert arm.reason
+    arm.loop.start()
+    assert arm.move((0.0, 0.0), 0.1)[-1].any()
+
+
+@pytest.mark.parametrize('guiding', [0.3, 0.5])
+def test_an_arm_that_is_pushed_becomes_heavy_and_is_not_stopped(guiding):
+    arm = Arm(guiding_speed=guiding)
+    upward = np.sign(arm.move((0.0, 0.0))[-1][0])
+    free = arm.move((0.85 * guiding * upward * SPEED[0], 0.0), 0.1)[-1]
+    assert np.abs(free[0]) > 1.0
+    heavy = arm.move((1.05 * guiding * upward * SPEED[0], 0.0), 0.1)[-1]
+    assert heavy[0] == 0.0
+    assert heavy[1] != 0.0
+    assert not arm.reason
+
+
+def test_an_arm_that_falls_is_held_at_every_speed():
+    arm = Arm(guiding_speed=0.5)
+    falling = -np.sign(arm.move((0.0, 0.0))[-1][0]) * 0.8 * SPEED[0]
+    efforts = arm.move((falling, 0.0), 0.05)
+    assert (efforts[:, 0] * falling < 0.0).all()
+    expected = InverseDynamics(ROBOT).efforts(arm.q, np.array([falling, 0.0]), np.zeros(2))
+    assert efforts[-1] == pytest.approx(expected)
+
+
+def test_limits_of_the_parameters_replace_those_of_the_urdf():
+    fast = (1.5 * SPEED[0], 0.0)
+    for limits, is_stopped in ((-1.0, True), (0.0, False), (2.0 * SPEED[0], False), (1.0, True)):
+        arm = Arm(velocity_limits=(limits, -1.0))
+        arm.move(fast, 0.1)
+        assert bool(arm.reason) is is_stopped
+
+
+def test_positions_without_velocities_show_the_speed_too():
+    arm = Arm()
+    arm.move((2.0 * SPEED[0], 0.0), 0.2, reported=math.nan)
+    assert f'{NAMES[0]} moved at' in arm.reason
+
+
+@pytest.mark.parametrize('reported', [-1.0, 0.0, 0.2, 57.3], ids=str)
+@pytest.mark.parametrize('is_dry_run', [False, True])
+def test_velocities_that_contradict_positions_are_named(reported, is_dry_run):
+    arm = Arm()
+    if is_dry_run:
+        arm.loop.start(is_dry_run=True)
+    speed = 0.4
+    arm.move((0.0, speed), 0.5, reported=np.array([1.0, reported]))
+    problem = arm.loop.controller.motion_problem[0] if is_dry_run else arm.reason
+    assert NAMES[1] in problem
+    assert bool(arm.reason) is not is_dry_run
+    assert arm.loop.controller.phase is (Phase.FLOATING if is_dry_run else Phase.LIMIT_STOP)
+
+
+def test_a_jump_of_the_position_is_a_stop_only_with_feedback():
+    for mode in Mode:
+        arm = Arm(mode=mode)
+        arm.follow((0.1, 0.1), 0.1)
+        arm.q = arm.q + np.array([0.0, 1.5])
+        last = arm.move((0.1, 0.1))[-1]
+        is_closed = mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
+        assert bool(arm.reason) is is_closed
+        if is_closed:
+            assert arm.reason == f'{NAMES[1]} jumped by 1.5 rad, which no motion explains'
+            assert (np.abs(arm.move((0.1, 0.1))[-1]) <= np.abs(last)).all()
+
+
+@pytest.mark.parametrize('period', [0.001, 0.005, 0.02])
+def test_motion_within_the_limits_goes_on(period):
+    """Noise of 0.05 rad/s, encoder steps of 0.5 mrad, pauses of 60 ms, and states in bursts."""
+    random = np.random.default_rng(1979)
+    loop = ControlLoop(ROBOT, settings=Settings(**FREE))
+    loop.start()
+    waiting, resumed = [], 0.0
+    for k in range(round(20.0 / period)):
+        now = 1.0 + k * period
+        q = Q + 0.5 * SPEED * np.sin(0.8 * now)
+        qd = 0.4 * SPEED * np.cos(0.8 * now) + 0.05 * random.standard_normal(2)
+        waiting.append((np.round(q / 5e-4) * 5e-4, qd))
+        if random.random() < 2.0 * period:
+            resumed = now + 0.06
+        if now < resumed:
+            continue
+        kept = waiting if random.random() < 0.5 else waiting[-1:]
+        for i, state in enumerate(kept):
+            late = now + 2e-5 * i
+            store_state(loop.collector, late, NAMES, *state)
+            loop.step(late)
+        waiting = []
+        assert not loop.controller.supervisor.limit_stop
+
+
+def test_springs_push_back_from_the_position_limits_and_never_pull():
+    robot = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+    dynamics, n = InverseDynamics(robot), len(robot.joint_names)
+    settings = Settings(start_ramp=0.0, limit_margin=0.2, limit_stiffness=50.0)
+    loop = ControlLoop(robot, settings=settings)
+    random, now, has_pushed = np.random.default_rng(7), 0.0, 0
+    for _ in range(200):
+        q = robot.lower + random.uniform(0.0, 1.0, n) * (robot.upper - robot.lower)
+        qd = 0.3 * random.uniform(-1.0, 1.0, n) * robot.velocity_limits
+        loop.start()
+        now += 10.0
+        store_state(loop.collector, now, robot.joint_names, q, qd)
+        springs = loop.step(now).efforts - np.clip(
+            dynamics.efforts(q, qd, np.zeros(n)), -robot.effort_limits, robot.effort_limits
+        )
+        is_low, is_high = q < robot.lower + 0.2, q > robot.upper - 0.2
+        has_pushed += np.count_nonzero(np.abs(springs) > 0.1)
+        tolerance = 1e-9 * robot.effort_limits
+        assert (springs[is_high] <= tolerance[is_high]).all()
+        assert (springs[is_low] >= -tolerance[is_low]).all()
+        assert springs[~is_low & ~is_high] == pytest.approx(0.0, abs=1e-9)
+    assert has_pushed > 50
+
+
+def test_a_spring_takes_energy_out_of_the_motion():
+    """A joint that runs into its limit returns with less speed, and never passes the limit."""
+    pytest.importorskip('mujoco')
+    from inverse_dynamics_node.simulation.mujoco import MujocoRobot
+
+    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+    settings = Settings(start_ramp=0.0, limit_margin=0.3, limit_stiffness=100.0)
+    start = np.array([0.0, robot.upper[1] - 0.5])
+    hardware = MujocoRobot(robot, start, friction=False)
+    hardware._data.qvel[hardware._order] = 0.0, 0.8
+    loop = ControlLoop(robot, settings=settings)
+    loop.start()
+    speeds, positions = [], []
+    for k in range(400):
+        q, qd = hardware.positions(), hardware.velocities()
+        store_state(loop.collector, k * PERIOD, robot.joint_names, q, qd)
+        hardware.command(loop.step(k * PERIOD).efforts)
+        hardware.advance(PERIOD)
+        speeds.append(qd[1])
+        positions.append(q[1])
+    assert max(positions) > robot.upper[1] - 0.3
+    assert max(positions) < robot.upper[1]
+    assert -0.6 < min(speeds) < 0.0
