@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 import contextlib
 import io
+import math
 import os
 import signal
 import stat
 import sys
+import time
 import traceback
 from types import FrameType
 from typing import Any
@@ -18,6 +20,7 @@ import warnings
 # takes almost a second. A signal during the import must also end the process cleanly.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ONE_SIGNAL = 1.0  # [s]; signals within this time are one
 
 
 class _Stop:
@@ -25,10 +28,13 @@ class _Stop:
     Counts the signals SIGINT, SIGTERM and SIGHUP.
 
     The handler of rclpy would end the communication before the node could send its last command.
+    A signal in the second after the first does not count: ``ros2 launch`` without a terminal
+    passes a signal on that the node has received too.
     """
 
     def __init__(self) -> None:
         self.count = 0
+        self._counts_from = -math.inf  # steady time [s]
         # Under nohup, SIGHUP is ignored and must stay ignored.
         self._numbers = [
             number
@@ -42,6 +48,11 @@ class _Stop:
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if not self.count:
+            self._counts_from = now + _ONE_SIGNAL
+        elif now < self._counts_from:
+            return
         self.count += 1
 
 

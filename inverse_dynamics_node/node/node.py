@@ -78,7 +78,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._leaves_at = math.inf  # [s]
         self._may_autostart = configuration.autostart
         self._description = ''  # the latest text from the topic
-        self._reason_to_stop = 'deactivated'
+        self._reason_to_stop, self._is_ending = 'deactivated', False
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         self._create_parts(configuration, skip_ramp)
         for problem in unused_qos_overrides(self):
@@ -153,7 +153,7 @@ class InverseDynamicsNode(LifecycleNode):
     def shut_down(self) -> None:
         """Ramp the efforts down to zero if the node is active."""
         if self._runner.is_active:
-            self._reason_to_stop = 'the process is ending'
+            self._reason_to_stop, self._is_ending = 'the process is ending', True
             self.trigger_deactivate()
 
     def catch_up(self) -> None:
@@ -200,11 +200,12 @@ class InverseDynamicsNode(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Ramp the efforts down to zero, and then stop publishing."""
-        self._ramp_down()
+        self._ramp_down(is_last=self._is_ending)
         return super().on_deactivate(state)
 
-    def _ramp_down(self) -> None:
-        self._runner.ramp_down(self._reason_to_stop, self._inputs.read_latest_joint_state)
+    def _ramp_down(self, *, is_last: bool) -> None:
+        read = self._inputs.read_latest_joint_state
+        self._runner.ramp_down(self._reason_to_stop, read, is_last=is_last)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Discard the robot model, the payloads and the external wrenches."""
@@ -220,7 +221,7 @@ class InverseDynamicsNode(LifecycleNode):
         """Ramp the efforts down to zero, and let `main` end the process a second later."""
         self._may_autostart = False  # a description may arrive in this second
         if self._runner.is_active:
-            self._ramp_down()
+            self._ramp_down(is_last=True)
         self._leaves_at = time.monotonic() + _ANSWER_TIME
         return super().on_shutdown(state)
 

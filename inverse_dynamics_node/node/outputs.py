@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
@@ -27,7 +28,7 @@ class Outputs:
         def publisher(kind: Any, topic: str) -> Any:
             return node.create_lifecycle_publisher(kind, topic, qos.RELIABLE, **qos.overridable())
 
-        self._clock = node.get_clock()
+        self._node, self._clock = node, node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
         self._joint_efforts = publisher(JointState, '~/joint_efforts')
         self._joint_commands = publisher(JointState, '~/joint_commands')
@@ -94,12 +95,21 @@ class Outputs:
         return f'are published on ~/joint_efforts only (dry run); nothing is sent {to}'
 
     def publish_zeros(self, loop: ControlLoop) -> None:
-        """Publish zeros, and wait for their delivery."""
+        """Publish zeros, and wait until reliable subscribers have acknowledged them."""
         zeros = np.zeros(len(loop.controller.joints))
         for _ in range(3):  # because best-effort subscribers do not acknowledge
             self.publish_command(loop, zeros, zeros)
         for publisher in (self.commands, self._joint_efforts, self._joint_commands):
             publisher.wait_for_all_acked(Duration(seconds=1))
+
+    @property
+    def has_best_effort_receivers(self) -> bool:
+        """Whether any receiver of the commands acknowledges nothing."""
+        return any(
+            receiver.qos_profile.reliability is not ReliabilityPolicy.RELIABLE
+            for form in self.forms
+            for receiver in self._node.get_subscriptions_info_by_topic(form.topic_name)
+        )
 
     def publish_external_efforts(self, loop: ControlLoop) -> None:
         """Publish the external efforts of the joints with measured efforts."""

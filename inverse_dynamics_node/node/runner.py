@@ -25,6 +25,7 @@ from .parameters import Configuration
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while joint states arrive
+_ZEROS_TIME = 1.0  # [s]; zeros are repeated for this long before the process ends
 _POLL_PERIOD = 0.0005  # [s]; between checks for a joint state during stop damping
 _TIMEOUT = 0.1  # [s]; time-out of a spin that is not interrupted
 _PATIENCE = 0.03  # [s]; a spin that is this late is interrupted
@@ -230,11 +231,15 @@ class LoopRunner:
             self._watch.timer_period_ns = period
             self._watch.reset()
 
-    def ramp_down(self, reason: str, read_joint_state: Callable[[], None]) -> None:
+    def ramp_down(
+        self, reason: str, read_joint_state: Callable[[], None], *, is_last: bool
+    ) -> None:
         """
         Ramp the efforts down to zero, and publish zeros; nothing else runs meanwhile.
 
-        `reason` is for the log. `read_joint_state` handles the latest joint state.
+        `reason` is for the log. `read_joint_state` handles the latest joint state. If `is_last`,
+        the process ends soon. If a receiver is best effort, the zeros are then repeated for a
+        second: it may stand still, and gets nothing from a process that has ended.
         """
         assert self.loop is not None
         self.is_active = False
@@ -251,7 +256,14 @@ class LoopRunner:
         finally:
             self.now = now
             self.outputs.publish_zeros(self.loop)
-        self._node.get_logger().info(f'stopped, zeros sent: {reason}')
+        for_a_while = ''
+        if is_last and self.outputs.has_best_effort_receivers:
+            for_a_while = f' for {_ZEROS_TIME:g} s'
+            end = time.monotonic() + _ZEROS_TIME
+            while time.monotonic() < end and not self._skip_ramp():
+                time.sleep(_WATCH_PERIOD)
+                self.outputs.publish_zeros(self.loop)
+        self._node.get_logger().info(f'stopped, zeros sent{for_a_while}: {reason}')
 
     def _follow_stop_ramp(self, loop: ControlLoop, read_joint_state: Callable[[], None]) -> None:
         loop.controller.stop()

@@ -3,8 +3,11 @@
 import math
 import re
 import signal
+import subprocess
+import threading
 import time
 
+from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.parameters import PARAMETERS
 from inverse_dynamics_node.node.ros_parameters import _REMOVED
@@ -196,9 +199,60 @@ def test_second_signal_skips_the_ramp_but_not_the_zeros(run_node, robot):
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 10, 'ramp')
     assert np.any(robot.commands[-1])
+    began = time.monotonic()
+    node.interrupt()  # so soon that it may be the first one again
+    robot.wait_until(lambda: time.monotonic() > began + 1.1, 'another second')
+    assert np.any(robot.commands[-1])
     node.interrupt()
     assert robot.wait_for_end(node) == 0
     robot.wait_for_command(np.zeros(6), tolerance=0.0)
+
+
+RECEIVER = """
+import sys
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64MultiArray
+rclpy.init()
+node = rclpy.create_node('controller')
+quality = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+def take(message):
+    print(*message.data, flush=True)
+node.create_subscription(Float64MultiArray, 'inverse_dynamics/commands', take, quality)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.parametrize(
+    'attempt', [0, *(pytest.param(k, marks=pytest.mark.long) for k in range(1, 20))]
+)
+def test_zeros_reach_a_best_effort_receiver_that_stands_still(run_node, robot, domain_id, attempt):
+    """As forward_command_controller does while the controller manager stands still."""
+    node = run_node(**{**PATIENT, 'stop_ramp': 0.1})
+    publish_shuffled_state(robot)
+    environment = {'ROS_DOMAIN_ID': str(domain_id)}
+    receiver = SERVER.run(['-c', RECEIVER], environment, stdout=subprocess.PIPE)
+    taken = []
+
+    def read():
+        for line in receiver.stdout:
+            taken.append([float(x) for x in line.split()])
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    try:
+        robot.wait_until(lambda: taken and np.any(taken[-1]), 'commands at the receiver')
+        receiver.send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        node.interrupt()
+        robot.wait_until(lambda: time.monotonic() > began + 0.6, 'a stall of the receiver')
+        receiver.send_signal(signal.SIGCONT)
+        assert robot.wait_for_end(node) == 0
+        robot.wait_until(lambda: not np.any(taken[-1]), 'zeros at the receiver')
+        assert 'stopped, zeros sent for 1 s: the process is ending' in node.output
+    finally:
+        receiver.kill()
+        receiver.wait()
 
 
 def test_signal_before_the_first_state_ends_with_code_0(run_node, robot):

@@ -134,6 +134,8 @@ def test_a_second_signal_ends_the_damping(run_node, robot):
     node, motion = run_moving_arm(run_node, robot)
     node.interrupt()
     motion.wait_until_damped()
+    began = time.monotonic()
+    robot.wait_until(lambda: time.monotonic() > began + 1.0, 'a second')
     node.interrupt()
     assert robot.wait_for_end(node) == 0
     robot.wait_for_command(ZERO, tolerance=0.0)
