@@ -100,9 +100,11 @@ class Settings:
         1.0, 'Damping of `joint_impedance`', unit='N m s/rad, N s/m', minimum=0.0
     )
     friction_scale: PerJoint = setting(
-        0.8,
+        0.5,
         'Share of the friction that `gravity_compensation` compensates',
-        'Needs `include_friction`; uses measured velocities. Other modes compensate all friction',
+        'Needs `include_friction`; uses measured velocities. Other modes compensate all friction. '
+        'With 0.5, the arm does not drive itself unless the friction is given as more than twice '
+        'its value',
         minimum=0.0,
         maximum=1.0,
     )

@@ -11,7 +11,7 @@ from inverse_dynamics_node.control.settings import Mode, Settings
 from simulated_arm import PERIOD, SimulatedArm
 
 ARMS = {'seven_dof': 'tool0', 'gripper_arm': 'flange'}  # with the links that are pushed
-GUIDED = Settings(mode=Mode.GRAVITY_COMPENSATION, start_ramp=0.0)
+GUIDED = Settings(mode=Mode.GRAVITY_COMPENSATION, friction_scale=0.8, start_ramp=0.0)
 SPEED = 0.1  # [rad/s]
 ERROR = 0.05  # of the identified friction, relative
 
@@ -85,6 +85,16 @@ def test_an_arm_that_is_let_go_stays(name, count, duration):
         arm.run(duration)
         moved = np.abs(arm.q - q)
         assert moved.max() < 1e-3, moved
+
+
+@pytest.mark.parametrize('name', ARMS)
+def test_an_arm_that_is_touched_slows_down_although_friction_is_given_too_large(name):
+    """With friction given 50 % too large, and the default share."""
+    arm = guided(name, poses(ROOT / 'test/robots' / f'{name}.urdf', 1)[0], share=1.5)
+    arm.loop.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION, start_ramp=0.0))
+    arm.hardware._data.qvel[arm.hardware._order] = SPEED
+    arm.run(4.0)
+    assert np.abs(arm.qd).max() < 0.5 * SPEED
 
 
 @pytest.mark.parametrize('name', ARMS)

@@ -18,7 +18,12 @@ Q, QD = np.array([0.4, -0.7]), np.array([0.3, -0.2])
 DAMPING, COULOMB = np.array([2.0, 1.0]), np.array([0.6, 0.4])
 FRICTION = DAMPING * QD + COULOMB * np.tanh(QD / 0.01)
 HOLD = InverseDynamics(ROBOT).gravity_efforts(Q)
-GUIDED = Settings(mode=Mode.GRAVITY_COMPENSATION, start_ramp=0.0, use_urdf_effort_limits=False)
+GUIDED = Settings(
+    mode=Mode.GRAVITY_COMPENSATION,
+    friction_scale=0.8,
+    start_ramp=0.0,
+    use_urdf_effort_limits=False,
+)
 
 
 def guided(**settings):
