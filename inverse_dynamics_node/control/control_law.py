@@ -169,7 +169,7 @@ class ControlLaw:
 
     def _is_far(self, state: State, reference: Reference) -> bool:
         """Return whether the reference is too far from the joints, or has jumped too far."""
-        limit = self.settings.max_position_jump
+        limit = self.settings.max_tracking_error
         is_held = self.settings.mode is Mode.JOINT_IMPEDANCE
         is_closed = is_held or self.settings.mode is Mode.COMPUTED_TORQUE
         if not limit or not is_closed or reference.positions is None:

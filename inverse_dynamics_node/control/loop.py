@@ -27,7 +27,7 @@ _INPUT_SETTINGS = (
     'mode',
     'state_timeout',
     'reference_timeout',
-    'max_position_jump',
+    'max_tracking_error',
     'velocity_filter_cutoff',
 )
 
@@ -72,6 +72,7 @@ class Controller:
         self.stop_damping = StopDamping(dynamics, self._index)
         self.shaper = CommandShaper(self._index, period)
         self.motion_limits = MotionLimits(dynamics, self._index)
+        self._is_near = False  # whether the arm has been near the reference that it follows
         self.motion_problem = '', -math.inf
         """What the motion limits have found without stopping the arm, and when [s]."""
         command = self.shaper.command
@@ -226,17 +227,16 @@ class Controller:
             if not shaper.continues:
                 law.equilibrium = None  # the arm may have moved away from the old one
             phase = law.phase(now, state, reference)
-            is_following = phase is Phase.RUNNING
-            tau = law.efforts(now, state, reference if is_following else None)
-            if tau is not None:
-                added = self.motion_limits.restrain(
-                    state, tau, law.added, shaper.clock.step, is_following=is_following
-                )
-                if shaper.follow(tau, added):
-                    supervisor.phase = phase
-                    return self._result
-            blocking = Phase.NO_SOLUTION
-        else:
+            followed = reference if phase is Phase.RUNNING else None
+            if is_live and self._is_left_behind(phase, state, followed):
+                blocking = Phase.LIMIT_STOP
+            elif self._follow(now, state, followed):
+                supervisor.phase = phase
+                return self._result
+            else:
+                blocking = Phase.NO_SOLUTION
+        if blocking is not Phase.NO_SOLUTION:
+            self._is_near = False
             law.forget()
         supervisor.phase = blocking
         if blocking is Phase.LIMIT_STOP:
@@ -249,6 +249,35 @@ class Controller:
         else:
             shaper.hold()
         return self._result
+
+    def _follow(self, now: float, state: State, reference: Reference | None) -> bool:
+        """Command the efforts of the law; return False if they are not finite."""
+        law, step, is_following = self.law, self.shaper.clock.step, reference is not None
+        tau = law.efforts(now, state, reference)
+        if tau is None:
+            return False
+        limits = self.motion_limits
+        added = limits.restrain(state, tau, law.added, step, is_following=is_following)
+        return self.shaper.follow(tau, added)
+
+    def _is_left_behind(self, phase: Phase, state: State, reference: Reference | None) -> bool:
+        """Begin a limit stop if the arm falls too far behind a reference that it was near."""
+        limit = self.settings.max_tracking_error
+        if not self.law.is_closed(phase) or reference is None or reference.positions is None:
+            self._is_near = False
+            return False
+        distances = np.abs(self.law.distance(state.q[self._index], reference.positions))
+        k = int(np.argmax(distances))
+        if distances[k] <= limit or not limit:
+            self._is_near = True
+            return False
+        if self._is_near:
+            unit = 'm' if self.dynamics.robot.is_prismatic_joint[self._index[k]] else 'rad'
+            self.limit_stop(
+                f'{self.joints[k]} is {distances[k]:.3g} {unit} from its reference, limit '
+                f'{limit:g} {unit}'
+            )
+        return self._is_near
 
     def _observe(self, now: float, state: State, is_live: bool) -> None:
         """Stop the arm if its motion is beyond the limits; in a dry run, only remember it."""
@@ -461,7 +490,7 @@ class ControlLoop:
             return self.drive.rest(q)
         settings = controller.settings
         return self.drive.motion(
-            q, qd, controller.shaper.clock.step, settings.start_ramp, settings.max_position_jump
+            q, qd, controller.shaper.clock.step, settings.start_ramp, settings.max_tracking_error
         )
 
     def external_efforts(self) -> Floats:

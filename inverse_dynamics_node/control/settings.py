@@ -114,12 +114,13 @@ class Settings:
         unit='N m s/rad, N s/m',
         minimum=0.0,
     )
-    max_position_jump: float = setting(
+    max_tracking_error: float = setting(
         0.5,
-        'Largest position step between references in `computed_torque` and `joint_impedance`. '
-        '0: unlimited',
-        'The same limit applies to the step from the measured position, or from the position that '
-        '`joint_impedance` holds, to a new reference',
+        'Largest distance between the arm and its reference in `computed_torque` and '
+        '`joint_impedance`. 0: unlimited',
+        'A reference that begins or jumps farther away from the last one, from the measured '
+        'position or from the position that `joint_impedance` holds is not followed. An arm that '
+        'falls farther behind the reference that it follows is stopped',
         unit='rad, m',
         minimum=0.0,
     )

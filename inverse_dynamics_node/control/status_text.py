@@ -25,6 +25,7 @@ _SLOW = 0.95  # the loop is too slow below this fraction of the requested rate
 _DISCOVERY = 1.0  # [s]; the discovery of a publisher may take this long
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
 _RECENT = 10.0  # [s]; a problem of the motion in a dry run is reported for this long
+_TURN_ERROR = 0.05  # [turns]; of a position that is whole turns away from its reference
 _PAUSE = 5.0  # [s]; a longer standstill of simulated time is reported
 
 Judgement = tuple[Level, str]
@@ -49,9 +50,24 @@ def _computing(loop: ControlLoop) -> str:
     if phase in TOO_FAR_PHASES:
         return (
             f'{doing}: the reference starts too far away or jumps too far '
-            f'(max_position_jump: {settings.max_position_jump:g} rad or m)'
+            f'(max_tracking_error: {settings.max_tracking_error:g} rad or m)'
+            f'{_full_turns(loop)}'
         )
     return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
+
+
+def _full_turns(loop: ControlLoop) -> str:
+    """Name the joints that are whole turns away from the reference."""
+    reference, robot = loop.reference, loop.robot
+    if reference is None or reference.positions is None:
+        return ''
+    turns = (reference.positions - loop.collector.q[loop.index]) / (2.0 * math.pi)
+    is_whole = (np.abs(turns - np.round(turns)) < _TURN_ERROR) & (np.abs(turns) > 0.5)
+    is_whole &= ~(robot.is_prismatic_joint | robot.is_continuous)[loop.index]
+    names = [
+        joint for joint, is_turn in zip(loop.controller.joints, is_whole, strict=True) if is_turn
+    ]
+    return f'; whole turns away: {", ".join(names)}' if names else ''
 
 
 def _consequence(loop: ControlLoop) -> str:

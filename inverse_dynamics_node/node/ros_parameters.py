@@ -23,6 +23,7 @@ from .parameters import (
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
 _REMOVED = {
+    'max_position_jump': 'set max_tracking_error, which also limits how far the arm falls behind',
     'allow_description_file_changes': 'robot_description_file is only read at the start',
     'cpu_affinity': 'start the node with a launch prefix, such as taskset --cpu-list 2',
     'effort_offset': 'correct a constant offset in the driver',

@@ -11,7 +11,7 @@ import numpy as np
 from random_trees import robots_with_states as cases
 from states import joint_state, UnobservedController
 
-NO_LIMITS = {'start_ramp': 0.0, 'use_urdf_effort_limits': False, 'max_position_jump': 0.0}
+NO_LIMITS = {'start_ramp': 0.0, 'use_urdf_effort_limits': False, 'max_tracking_error': 0.0}
 gains = st.sampled_from([0.0, 0.3, 1.0, 20.0])
 
 

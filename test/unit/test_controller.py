@@ -280,29 +280,28 @@ def test_gravity_compensation_ignores_reference_and_velocity():
 
 
 def test_reference_that_starts_too_far_away_is_not_followed():
-    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1)
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.1)
     assert lift.step(0.0, state(0.0), tracking(0.0, [0.2, 0.0])).efforts == pytest.approx(HOLD)
     assert lift.phase is Phase.TOO_FAR
     lift.step(0.01, state(0.01), tracking(0.01, [0.05, 0.0]))
     assert lift.phase is Phase.RUNNING
-    lift.step(
-        0.02, state(0.02), tracking(0.02, [0.14, 0.0])
-    )  # during motion it may be further away
-    assert lift.phase is Phase.RUNNING
-    lift.step(0.03, state(0.03), tracking(0.03, [0.3, 0.0]))  # but it must not jump
+    lift.step(0.02, state(0.02), tracking(0.02, [0.3, 0.0]))  # it must not jump
     assert lift.phase is Phase.TOO_FAR
+    lift.step(0.03, state(0.03), tracking(0.03, [0.05, 0.0]))
+    lift.step(0.04, state(0.04), tracking(0.04, [0.14, 0.0]))  # the arm must not fall behind
+    assert lift.phase is Phase.LIMIT_STOP
 
 
 def test_feedback_that_starts_during_motion_does_not_start_with_a_jump():
-    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1)
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.1)
     lift.step(0.0, state(0.0), reference(0.0, [1.0, 0.0]))  # no positions, so no distance
     assert lift.phase is Phase.RUNNING
     lift.step(0.01, state(0.01), tracking(0.01, [3.0, 0.0]))
     assert lift.phase is Phase.TOO_FAR
-    open_loop = controller(max_position_jump=0.1)
+    open_loop = controller(max_tracking_error=0.1)
     open_loop.step(0.0, state(0.0), tracking(0.0, [3.0, 0.0]))
     assert open_loop.phase is Phase.RUNNING
-    closed = Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1, start_ramp=0.0)
+    closed = Settings(mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.1, start_ramp=0.0)
     open_loop.apply(closed)
     open_loop.step(0.01, state(0.01), tracking(0.01, [3.0, 0.0]))
     assert open_loop.phase is Phase.TOO_FAR
@@ -695,7 +694,7 @@ def test_a_start_restarts_the_velocity_filter():
 
 
 def test_a_reference_that_starts_at_the_largest_distance_is_followed():
-    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.5)
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.5)
     lift.step(0.0, state(0.0), tracking(0.0, [0.5, -0.5]))
     assert lift.phase is Phase.RUNNING
 
@@ -711,7 +710,7 @@ def test_full_turns_of_a_continuous_joint_make_no_difference():
 
 @pytest.mark.filterwarnings('error')
 def test_absurd_references_do_not_print_warnings_in_the_loop():
-    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.0)
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.0)
     lift.step(0.0, state(0.0), tracking(0.0, [1.7e308, 0.0], [-1.7e308, 0.0]))
     assert lift.phase is Phase.NO_SOLUTION
 

@@ -70,7 +70,7 @@ def test_a_reference_without_motion_lets_the_gains_add_nothing():
 
 @pytest.mark.parametrize(('farthest', 'is_sent'), [(0.5, False), (0.0, True)])
 def test_a_distant_reference_is_not_sent_unless_the_distance_is_unlimited(farthest, is_sent):
-    arm = Arm(max_position_jump=farthest)
+    arm = Arm(max_tracking_error=farthest)
     positions, _ = arm.play(0.2, positions=Q + 0.6)[-1]
     assert positions == pytest.approx(Q + 0.6 * is_sent)
 

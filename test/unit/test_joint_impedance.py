@@ -113,7 +113,7 @@ def test_the_end_of_a_reference_causes_no_step():
 
 
 def test_the_largest_step_is_that_of_the_equilibrium():
-    robot = arm(max_position_jump=0.1)
+    robot = arm(max_tracking_error=0.1)
     far = Q + 0.3 * np.eye(2)[0]
     step(robot, 0.0)
     # The arm was pushed far away, but the reference begins where it is held.
@@ -128,12 +128,12 @@ def test_the_largest_step_is_that_of_the_equilibrium():
 
 @pytest.mark.parametrize('mode', [mode for mode in Mode if mode is not Mode.JOINT_IMPEDANCE])
 def test_a_reference_after_a_switch_is_compared_with_the_measured_position(mode):
-    robot = arm(mode=mode, max_position_jump=0.0)
+    robot = arm(mode=mode, max_tracking_error=0.0)
     step(robot, 0.0, Q, REST, reference(0.0, Q + 0.4))
-    robot.apply(replace(HELD, max_position_jump=0.1))
+    robot.apply(replace(HELD, max_tracking_error=0.1))
     assert step(robot, 0.01, Q, REST, reference(0.01, Q + 0.4)) == pytest.approx(spring(Q))
     assert robot.phase is Phase.HOLDING_TOO_FAR
-    robot.apply(replace(HELD, mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1))
+    robot.apply(replace(HELD, mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.1))
     step(robot, 0.02, Q + 0.4, REST, reference(0.02, Q + 0.4))
     assert robot.phase is Phase.RUNNING
 
@@ -310,7 +310,7 @@ def test_settings_that_change_after_a_switch_in_the_same_moment():
 
 @pytest.mark.filterwarnings('error')
 def test_an_absurd_reference_is_forgotten():
-    robot = arm(max_position_jump=0.0)
+    robot = arm(max_tracking_error=0.0)
     step(robot, 0.0)
     step(robot, 0.01, Q, REST, reference(0.01, np.array([-1.7e308, 0.0])))
     assert robot.phase is Phase.NO_SOLUTION

@@ -39,7 +39,7 @@ INACTIVE = {'is_active': False, 'state': 'inactive'}
 REST = np.zeros(2)
 NEITHER = np.zeros(2, dtype=bool)
 SECOND = np.array([False, True])
-FAR = 'starts too far away or jumps too far (max_position_jump: 0.2 rad or m)'
+FAR = 'starts too far away or jumps too far (max_tracking_error: 0.2 rad or m)'
 RISING = 'efforts rise again after joint states have arrived for 0.2 s without a gap longer than '
 
 
@@ -344,7 +344,7 @@ def test_activity_names_the_reason_to_float(loop):
     [(Mode.COMPUTED_TORQUE, 'floating'), (Mode.JOINT_IMPEDANCE, 'holding position')],
 )
 def test_the_reference_is_judged_by_its_use(loop, mode, doing):
-    loop.controller.apply(Settings(mode=mode, max_position_jump=0.2))
+    loop.controller.apply(Settings(mode=mode, max_tracking_error=0.2))
     loop.step(0.0)
     assert activity(0.0, loop) == f'{doing}: no reference'
     loop.reference = Reference(REST, REST, 0.02, positions=np.array([0.1, 0.2]))

@@ -1,6 +1,7 @@
 """An arm that runs away is noticed and stopped, and an arm that does not goes on."""
 
 import math
+import re
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
@@ -108,6 +109,34 @@ def test_an_arm_that_falls_is_held_at_every_speed():
     assert (efforts[:, 0] * falling < 0.0).all()
     expected = InverseDynamics(ROBOT).efforts(arm.q, np.array([falling, 0.0]), np.zeros(2))
     assert efforts[-1] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize('mode', Mode)
+def test_an_arm_that_falls_behind_its_reference_is_stopped_in_modes_with_feedback(mode):
+    arm = Arm(mode=mode, max_tracking_error=0.3)
+    target, velocities = arm.q.copy(), np.array([0.0, 1.0])
+    for _ in range(100):  # the arm is blocked
+        target = target + PERIOD * velocities
+        none = np.zeros(2)
+        arm.loop.reference = Reference(none, none, arm.now, target, velocities)
+        arm.move(none)
+    is_closed = mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
+    assert bool(arm.reason) is is_closed
+    if is_closed:
+        found = re.fullmatch(
+            rf'{NAMES[1]} is (.*) rad from its reference, limit 0.3 rad', arm.reason
+        )
+        assert 0.3 <= float(found[1]) < 0.31
+
+
+def test_an_arm_that_was_far_from_the_reference_from_the_first_is_not_stopped():
+    arm = Arm(mode=Mode.JOINT_IMPEDANCE, max_tracking_error=0.3, stiffness=1.0)
+    held = arm.q.copy()
+    arm.move((0.5, 0.0))
+    arm.move((0.5, 0.0), 0.8)  # pushed away from the position that is held
+    arm.loop.reference = Reference(np.zeros(2), np.zeros(2), arm.now, held, np.zeros(2))
+    arm.move((0.0, 0.0), 0.3)
+    assert not arm.reason
 
 
 def test_limits_of_the_parameters_replace_those_of_the_urdf():
