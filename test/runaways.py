@@ -64,7 +64,10 @@ class Runaway:
         self.loop = ControlLoop(robot, self.joints, settings)
         self.loop.start()
         if mode == 'joint_impedance':
-            inertia = self.loop.dynamics.mass_matrix(self.start).diagonal()[self.index]
+            # What a joint feels while the others give way.
+            free = np.ix_(self.index, self.index)
+            mobility = np.linalg.inv(self.loop.dynamics.mass_matrix(self.start)[free])
+            inertia = 1.0 / mobility.diagonal()
             stiffness = np.minimum(STIFFNESS, BANDWIDTH**2 * inertia)
             gains = Settings(
                 mode=Mode.JOINT_IMPEDANCE,

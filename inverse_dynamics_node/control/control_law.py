@@ -254,8 +254,8 @@ class DriveReference:
 
     A drive with its own gains adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort.
     While ``law`` follows a reference, the drive receives this reference. Otherwise, the drive
-    receives the measured motion, so that the gains add nothing. The reference replaces the
-    measured motion gradually, because the gains of the drive are unknown.
+    receives the measured motion, so that the gains add nothing. One replaces the other gradually,
+    because the gains of the drive are unknown, and may carry a part of the weight of the arm.
 
     """
 
@@ -263,36 +263,52 @@ class DriveReference:
         self._law = law
         self.weight = 0.0
         """Weight of the reference, from 0 to 1; the measured motion has the remaining weight."""
+        self._positions: Floats = np.zeros(0)
+        self._velocities: Floats = np.zeros(0)
 
     def motion(
-        self, q: Floats, qd: Floats, elapsed: float, start_ramp: float, farthest: float
+        self,
+        q: Floats,
+        qd: Floats,
+        elapsed: float,
+        ramps: tuple[float, float],
+        farthest: float,
+        *,
+        is_computing: bool,
     ) -> tuple[Floats, Floats]:
         """
         Return positions [rad or m] and velocities [rad/s or m/s] to send, shape (m,).
 
-        ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). The reference
-        replaces the measured motion over ``start_ramp`` [s]. ``elapsed`` is the time step of this
-        ramp [s]; see `RampClock`. The measured motion is sent if any joint is farther than
-        ``farthest`` [rad or m] from the reference. If ``farthest`` is 0, any distance is accepted.
+        ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). The weight of
+        the reference rises within the first of the two ``ramps`` and falls within the second [s].
+        ``elapsed`` is the time step of ramps [s]; see `RampClock`. A reference is not sent if any
+        joint is farther than ``farthest`` [rad or m] from it, or if it jumps farther; 0 means any
+        distance. Unless ``is_computing``, the drive is led to rest at the measured positions.
 
         """
-        reference, distance = self._law.followed, np.zeros_like(q)
-        if reference is not None and reference.positions is not None:
-            distance = self._law.distance(q, reference.positions)
-        if reference is None or (farthest and np.abs(distance).max() > farthest):
-            self.weight = 0.0
+        reference = self._law.followed if is_computing else None
+        if not is_computing:
+            qd = np.zeros_like(qd)
+        if reference is not None and self._accepts(q, reference, farthest):
+            self.weight = min(1.0, self.weight + ramp_fraction(elapsed, ramps[0]))
+            rest = qd if reference.positions is None else np.zeros_like(qd)
+            self._positions = q.copy() if reference.positions is None else reference.positions
+            self._velocities = rest if reference.velocities is None else reference.velocities
+        else:
+            self.weight = max(0.0, self.weight - ramp_fraction(elapsed, ramps[1]))
+        if not self.weight:
             return q, qd
-        self.weight = min(1.0, self.weight + ramp_fraction(elapsed, start_ramp))
-        velocities = reference.velocities
-        if velocities is None:
-            # If positions are missing too, the drive receives the measured velocities.
-            velocities = np.zeros_like(qd) if reference.positions is not None else qd
-        return q + self.weight * distance, qd + self.weight * (velocities - qd)
+        distance = self._law.distance(q, self._positions)
+        return q + self.weight * distance, qd + self.weight * (self._velocities - qd)
 
-    def rest(self, q: Floats) -> tuple[Floats, Floats]:
-        """Return the measured positions and zero velocities."""
-        self.weight = 0.0
-        return q, np.zeros_like(q)
+    def _accepts(self, q: Floats, reference: Reference, farthest: float) -> bool:
+        if reference.positions is None or not farthest:
+            return True
+        starts = [q, self._positions] if self.weight else [q]
+        return all(
+            np.abs(self._law.distance(start, reference.positions)).max() <= farthest
+            for start in starts
+        )
 
 
 def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:

@@ -486,11 +486,15 @@ class ControlLoop:
         """Return positions and velocities to send with the last command; see `DriveReference`."""
         controller, collector = self.controller, self.collector
         q, qd = collector.q[self.index], collector.qd[self.index]
-        if controller.phase not in COMPUTING_PHASES or self.dry_run.is_active:
-            return self.drive.rest(q)
-        settings = controller.settings
+        settings, phase = controller.settings, controller.phase
+        fall = LIMIT_RAMP if phase is Phase.LIMIT_STOP else settings.stop_ramp
         return self.drive.motion(
-            q, qd, controller.shaper.clock.step, settings.start_ramp, settings.max_tracking_error
+            q,
+            qd,
+            controller.shaper.clock.step,
+            (settings.start_ramp, fall),
+            settings.max_tracking_error,
+            is_computing=phase in COMPUTING_PHASES and not self.dry_run.is_active,
         )
 
     def external_efforts(self) -> Floats:

@@ -192,22 +192,35 @@ def describe_motion(now: float, loop: ControlLoop) -> str:
     return f'the motion limits would stop the arm: {text}'
 
 
-def describe_light_joints(loop: ControlLoop) -> str:
-    """Describe joints whose inertia is too small for their impedance gains, if there are any."""
-    if loop.controller.settings.mode is not Mode.JOINT_IMPEDANCE:
+def describe_unstable_gains(loop: ControlLoop) -> str:
+    """
+    Describe gains with which joints may oscillate, if there are any.
+
+    A delay T of the velocities makes damping unstable if it exceeds about I / T, and stiffness if
+    it exceeds about I / T^2. I is the inertia of the joint; for `computed_torque`, it is 1.
+
+    """
+    names = {
+        Mode.COMPUTED_TORQUE: ('kd', 'kp'),
+        Mode.JOINT_IMPEDANCE: ('impedance_damping', 'stiffness'),
+    }.get(loop.controller.settings.mode)
+    if names is None:
         return ''
-    gains = loop.controller.of_joint
-    inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
+    gains, inertia = loop.controller.of_joint, np.ones(len(loop.index))
+    with_inertia, advice = '', ['lower these gains']
+    if names[0] == 'impedance_damping':
+        inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
+        with_inertia = 'its inertia ({:.2g}) and '
+        advice = ['lower these gains, or set armature to the reflected inertia of the rotor']
     damping, stiffness = inertia / _DELAY, inertia / _DELAY**2
-    is_light = (gains['impedance_damping'] > damping) | (gains['stiffness'] > stiffness)
+    is_unstable = (gains[names[0]] > damping) | (gains[names[1]] > stiffness)
     texts = [
-        f'{joint} may oscillate: with its inertia ({inertia[k]:.2g}) and a delay of '
-        f'{1e3 * _DELAY:g} ms, impedance_damping should be at most {damping[k]:.2g} and stiffness '
+        f'{joint} may oscillate: with {with_inertia.format(inertia[k])}a delay of '
+        f'{1e3 * _DELAY:g} ms, {names[0]} should be at most {damping[k]:.2g} and {names[1]} '
         f'at most {stiffness[k]:.2g}'
         for k, joint in enumerate(loop.controller.joints)
-        if is_light[k]
+        if is_unstable[k]
     ]
-    advice = ['lower these gains, or set armature to the reflected inertia of the rotor']
     return '; '.join(texts + advice * bool(texts))
 
 

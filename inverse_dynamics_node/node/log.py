@@ -18,9 +18,9 @@ from ..control.status_text import (
     describe_alternating,
     describe_implausible,
     describe_late,
-    describe_light_joints,
     describe_lost_imu,
     describe_motion,
+    describe_unstable_gains,
 )
 from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
@@ -172,6 +172,12 @@ class NodeLog:
         for joint, text in describe_implausible(loop).items():
             self.warn(('implausible', joint), text, _LONG_PERIOD)
 
+    def report_gains(self, loop: ControlLoop) -> None:
+        """Warn of gains with which joints may oscillate."""
+        text = describe_unstable_gains(loop)
+        if text:
+            self.warn(('gains', text), text, _LONG_PERIOD)
+
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
         """While IMU messages are missing, log an error every few seconds; log when they return."""
         text = describe_lost_imu(now, loop)
@@ -209,9 +215,8 @@ class NodeLog:
             self._logger.warning(text)
         else:
             self._logger.info(text)
-        light_joints = describe_light_joints(loop) if key[0] in COMPUTING_PHASES else ''
-        if light_joints:
-            self.warn('light joints', light_joints, _LONG_PERIOD)
+        if key[0] in COMPUTING_PHASES:
+            self.report_gains(loop)
 
     def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast

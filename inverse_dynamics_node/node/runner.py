@@ -87,6 +87,8 @@ class LoopRunner:
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
             apply_configuration(self.loop, configuration, before)
+            if self.loop.collector.state() is not None:
+                self.log.report_gains(self.loop)
             self._watch_after(self._watch_period)
 
     def forget_robot(self) -> None:

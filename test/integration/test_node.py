@@ -486,12 +486,14 @@ def test_live_parameters_apply_at_once(run_node, robot):
 
 
 def test_computed_torque_drives_back_to_the_reference(run_node, robot):
-    run_node(**PATIENT, mode='computed_torque', kp=50, kd=10)
+    node = run_node(**PATIENT, mode='computed_torque', kp=50, kd=10)
     publish_shuffled_state(robot)
     q_ref, qd_ref = Q + 0.01, QD - 0.02
     robot.publish_reference(NAMES, QDD, positions=q_ref, velocities=qd_ref)
     qdd = QDD + 50.0 * (q_ref - Q) + 10.0 * (qd_ref - QD)
     robot.wait_for_command(DYNAMICS.efforts(Q, QD, qdd))
+    assert robot.set_parameter('kd', 1e4).successful
+    robot.wait_for_text(node, 'joint_1 may oscillate: with a delay of 5 ms, kd should be at most')
 
 
 def test_joint_impedance_holds_the_arm_and_follows_the_reference(run_node, robot):

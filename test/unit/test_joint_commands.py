@@ -6,7 +6,6 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
-from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
@@ -82,17 +81,45 @@ def test_an_ignored_reference_is_not_sent():
     assert velocities == pytest.approx(QD)
 
 
-def test_the_drive_is_at_rest_where_it_is_during_a_stop_and_without_states():
-    for has_states in (True, False):
-        arm = Arm()
-        arm.play(0.2, positions=TARGET, velocities=SPEED)
-        if has_states:
-            arm.loop.controller.stop()
-            motion = arm.step()
-        else:
-            motion = arm.play(0.5, q=None)[-1]
-        assert motion[0] == pytest.approx(Q)
-        assert motion[1] == pytest.approx(np.zeros(2))
+def begin_stop(arm):
+    arm.loop.controller.stop()
+    return {}
+
+
+def begin_dry_run(arm):
+    arm.loop.switch_dry_run(is_wanted=True)
+    return {}
+
+
+def lose_states(arm):
+    return {'q': None}
+
+
+def end_reference(arm):
+    arm.loop.reference = None
+    return {}
+
+
+def jump_away(arm):
+    return {'positions': Q - 0.45, 'velocities': SPEED}
+
+
+@pytest.mark.parametrize(
+    'change', [begin_stop, begin_dry_run, lose_states, end_reference, jump_away]
+)
+def test_the_drive_is_led_gradually_from_the_reference_to_where_the_arm_is(change):
+    """The gains of the drive may carry a part of the weight."""
+    arm = Arm(stop_ramp=0.2)
+    last = arm.play(0.2, positions=Q + 0.45, velocities=SPEED)[-1]
+    arguments = change(arm)
+    motion = arm.play(0.6, **arguments)
+    steps = np.diff([last[0], *(positions for positions, _ in motion)], axis=0)
+    assert np.abs(steps).max() <= 0.45 * PERIOD / 0.1 + 1e-12
+    is_new = change is jump_away
+    assert motion[-1][0] == pytest.approx(Q - 0.45 if is_new else Q)
+    if not is_new:
+        expected = QD if change is end_reference else np.zeros(2)
+        assert motion[-1][1] == pytest.approx(expected)
 
 
 def test_a_continuous_joint_takes_the_shorter_way():
@@ -108,28 +135,6 @@ def follow(arm, seconds=0.2):
     return arm.play(seconds, positions=TARGET, velocities=SPEED)[-1][0]
 
 
-def test_the_drive_is_at_rest_where_it_is_at_the_begin_of_a_dry_run():
-    arm = Arm()
-    assert follow(arm) == pytest.approx(TARGET)
-    arm.loop.switch_dry_run(is_wanted=True)
-    positions, velocities = arm.step(positions=TARGET, velocities=SPEED)
-    assert positions == pytest.approx(Q)
-    assert velocities == pytest.approx(np.zeros(2))
-
-
-def test_the_drive_is_at_rest_where_it_is_without_finite_efforts():
-    arm = Arm()
-    follow(arm)
-    arm.now += PERIOD
-    store_state(arm.loop.collector, arm.now, ARM.joint_names, Q, QD)
-    arm.loop.reference = Reference(np.full(2, 1e306), np.zeros(2), arm.now, TARGET, SPEED)
-    arm.loop.step(arm.now)
-    assert arm.loop.controller.phase is Phase.NO_SOLUTION
-    positions, velocities = arm.loop.drive_reference()
-    assert positions == pytest.approx(Q)
-    assert velocities == pytest.approx(np.zeros(2))
-
-
 @pytest.mark.parametrize('cause', ['start', 'stop'])
 def test_the_drive_is_led_to_the_reference_again_after_a_start_and_a_stop(cause):
     arm = Arm()
@@ -138,7 +143,7 @@ def test_the_drive_is_led_to_the_reference_again_after_a_start_and_a_stop(cause)
         arm.loop.start()
     else:
         arm.loop.controller.stop()
-        arm.step()
+        arm.play(0.6)
         arm.loop.controller.resume()
     positions = follow(arm, PERIOD)
     assert np.abs(positions - Q).max() <= 0.1 * PERIOD / 0.1 + 1e-12

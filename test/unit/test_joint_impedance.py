@@ -7,7 +7,7 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.status_text import describe_light_joints
+from inverse_dynamics_node.control.status_text import describe_unstable_gains
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
@@ -331,10 +331,10 @@ def test_the_arrays_of_the_next_joint_state_do_not_move_the_equilibrium():
 def test_joints_that_are_too_light_for_their_gains_are_described():
     loop = ControlLoop(ROBOT, settings=HELD)
     store_state(loop.collector, 0.0, NAMES, Q, REST)
-    assert describe_light_joints(loop) == ''
+    assert describe_unstable_gains(loop) == ''
     inertia = DYNAMICS.mass_matrix(Q)[1, 1]
     loop.controller.apply(replace(HELD, impedance_damping=(0.0, 1.01 * inertia / 0.005)))
-    text = describe_light_joints(loop)
+    text = describe_unstable_gains(loop)
     assert text == (
         f'{NAMES[1]} may oscillate: with its inertia ({inertia:.2g}) and a delay of 5 ms, '
         f'impedance_damping should be at most {inertia / 0.005:.2g} and stiffness at most '
@@ -344,11 +344,15 @@ def test_joints_that_are_too_light_for_their_gains_are_described():
     for share, is_light in ((0.99, False), (1.01, True)):
         stiffness = (0.0, share * inertia / 0.005**2)
         loop.controller.apply(replace(HELD, impedance_damping=0.0, stiffness=stiffness))
-        assert bool(describe_light_joints(loop)) is is_light
+        assert bool(describe_unstable_gains(loop)) is is_light
     loop.dynamics.set_armature(inertia)
-    assert describe_light_joints(loop) == ''
+    assert describe_unstable_gains(loop) == ''
     loop.controller.apply(replace(HELD, stiffness=1e9, mode=Mode.COMPUTED_TORQUE))
-    assert describe_light_joints(loop) == ''
+    assert describe_unstable_gains(loop) == ''
+    loop.controller.apply(replace(HELD, kp=(1e6, 1.0), mode=Mode.COMPUTED_TORQUE))
+    text = describe_unstable_gains(loop)
+    assert f'{NAMES[0]} may oscillate: with a delay of 5 ms, kd should be at most 2e+02' in text
+    assert NAMES[1] not in text
 
 
 def test_a_leap_of_a_joint_that_is_not_commanded_does_not_move_the_equilibrium():

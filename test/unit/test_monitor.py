@@ -556,3 +556,14 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
             axis = np.array([math.cos(yaw), math.sin(yaw), yaw]) / math.hypot(1.0, yaw)
             turned = R_BS @ (2.0 * np.outer(axis, axis) - np.eye(3))
             assert 'by 180 degrees' in describe_imu_frame(loop, name, turned)
+
+
+def test_a_joint_that_is_whole_turns_away_from_its_reference_is_named():
+    arm = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+    loop = ControlLoop(arm, settings=Settings(mode=Mode.COMPUTED_TORQUE))
+    q, zeros = np.full(7, 0.3), np.zeros(7)
+    store_state(loop.collector, 1.0, arm.joint_names, q, zeros)
+    turned = q + 2.0 * math.pi * np.eye(7)[2]
+    loop.reference = Reference(zeros, zeros, 1.0, turned, zeros)
+    loop.step(1.0)
+    assert activity(1.0, loop).endswith(f'; whole turns away: {arm.joint_names[2]}')
