@@ -215,8 +215,9 @@ class Promises:
     def _check_damping(self, now, added):
         """Check what a stop adds to the efforts that fall: only damping, if anything."""
         loop, settings = self.node.loop, self.stopped_with
-        is_fresh = loop.collector.is_consistent and settings is not None
-        is_fresh = is_fresh and 0.0 <= now - loop.collector.time <= settings.state_timeout
+        is_fresh = (
+            settings is not None and 0.0 <= now - loop.collector.time <= settings.state_timeout
+        )
         if not is_fresh or loop.controller.phase is not Phase.STOPPED:
             self.stopped_with = settings = None  # for the rest of this stop
         if self.settling:

@@ -5,9 +5,9 @@ from inverse_dynamics_node.control.joint_states import State
 import numpy as np
 
 
-def joint_state(q, qd, time, times=None, is_consistent=True):
+def joint_state(q, qd, time, times=None):
     """Return a state of which all joints were reported at one time, unless times are given."""
-    return State(q, qd, time, np.full(len(q), time) if times is None else times, is_consistent)
+    return State(q, qd, time, np.full(len(q), time) if times is None else times)
 
 
 def store_state(collector, now, names, *values):

@@ -15,15 +15,7 @@ import numpy as np
 from ..dynamics.jit import compile_for, compiled
 from ..errors import ConfigurationError, did_you_mean, JointStateError
 from ..robot.model import Booleans, Floats, Integers, RobotModel
-from .position_tracks import (
-    alternating,
-    forget_silent,
-    has_jumped,
-    ignored_step,
-    make_tracks,
-    track,
-    way,
-)
+from .position_jumps import has_jumped, make_tracks
 
 LATE_AFTER = 1.0
 """Time after which an uncommanded joint without new states counts as late [s]."""
@@ -39,7 +31,7 @@ _POSITION, _VELOCITY, _EFFORT = range(3)
 # Rows of the flags, with one column per joint of the robot.
 _COMMANDED, _HAS_VELOCITY, _LOST = range(3)
 # Results of `store_joint_state`: `INFINITE`, or the sum of some of the other flags.
-INFINITE, STORED, ALTERNATING, JUMPED, LEAPT, LOST = -1, 1, 2, 4, 8, 16
+INFINITE, STORED, JUMPED, LEAPT, LOST = -1, 1, 2, 4, 8
 
 Numbers = Sequence[float] | Floats
 
@@ -55,8 +47,6 @@ class State(NamedTuple):
     """Oldest arrival time among the commanded joints [s]."""
     times: Floats
     """Arrival time of each joint's state, shape (n,) [s]."""
-    is_consistent: bool = True
-    """False while positions of a commanded joint alternate; see `position_tracks`."""
     has_velocity: Booleans | None = None
     """Which joints have a measured velocity, shape (n,); None if all have one."""
 
@@ -86,7 +76,7 @@ class JointStateCollector:
     positions [rad or m] for joints that might never be reported. A locked position applies until
     the first report of the joint. Locked joints are never missing and never stale. ``commanded``
     lists the joints that need a fresh state. By default, all joints that are not locked need a
-    fresh state. ``robot`` provides the speed limits for `position_tracks`. A ConfigurationError is
+    fresh state. ``robot`` provides the speed limits for `position_jumps`. A ConfigurationError is
     raised if a locked joint is unknown or commanded, or if a locked position is not finite.
 
     """
@@ -111,7 +101,6 @@ class JointStateCollector:
         - A joint has apparently moved faster than it can.
         - An uncommanded joint has become late, or is no longer late.
         - A locked joint was reported for the first time.
-        - The positions of an uncommanded joint have begun or ceased to alternate.
         - The velocity of a joint was reported for the first time, or is no longer reported.
         """
         self.has_leapt = False
@@ -132,11 +121,6 @@ class JointStateCollector:
             not commanded or name in commanded for name in self.joint_names
         ]
         self._tracks = make_tracks(n, robot)
-        self._is_alternating = np.zeros(n, dtype=bool)
-        self.has_alternating = False
-        """Whether the positions of any joint alternate; see `position_tracks`."""
-        self.is_consistent = True
-        """False while positions of a commanded joint alternate; see `position_tracks`."""
         self._is_resting = np.zeros(n, dtype=bool)
         self._has_resting = False
         compile_kernels()
@@ -214,8 +198,6 @@ class JointStateCollector:
         if result & JUMPED:
             self.has_jumped = True
             self.has_leapt |= bool(result & LEAPT)
-        if result & ALTERNATING or self.has_alternating:
-            self._find_alternating()
         if result & STORED:
             self._find_oldest()
         return bool(result & STORED)
@@ -224,9 +206,7 @@ class JointStateCollector:
         """Return the latest state; None until all unlocked joints have been reported."""
         if self.time == -math.inf or self._other_time == -math.inf:
             return None
-        return State(
-            self.q, self.qd, self.time, self.times, self.is_consistent, self._has_velocity
-        )
+        return State(self.q, self.qd, self.time, self.times, self._has_velocity)
 
     def missing(self) -> list[str]:
         """Return the unlocked joints that were never reported."""
@@ -255,17 +235,6 @@ class JointStateCollector:
         is_late &= self.times > LONG_AGO
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
-    def alternating(self) -> dict[str, tuple[float, float]]:
-        """Return, by name, the two positions between which each faulty joint alternates."""
-        found = alternating(self._tracks)
-        return {self.joint_names[i]: positions for i, positions in found.items()}
-
-    def forget_silent(self, now: float) -> None:
-        """Stop treating joints without recent reports as alternating; ``now`` is the time [s]."""
-        if self.has_alternating:
-            forget_silent(self._tracks, now - self.times)
-            self._find_alternating()
-
     def rest_late(self, now: float) -> None:
         """
         Set the velocities of late, uncommanded joints to zero; ``now`` is the time [s].
@@ -273,8 +242,6 @@ class JointStateCollector:
         Otherwise, a joint that is no longer reported would keep its last velocity forever.
 
         """
-        if self.has_alternating:
-            self.forget_silent(now)
         are_fresh = 0.0 <= now - self._other_time <= LATE_AFTER or self._other_time == math.inf
         if are_fresh and not self._has_resting:
             return
@@ -338,14 +305,6 @@ class JointStateCollector:
         is_old: Booleans = ~((age >= 0.0) & (age <= timeout))
         return is_old
 
-    def _find_alternating(self) -> None:
-        before, after = self._is_alternating, np.zeros(len(self.joint_names), dtype=bool)
-        after[list(alternating(self._tracks))] = True
-        self.has_jumped |= bool((before != after)[~self._is_commanded].any())
-        self._is_alternating = after
-        self.has_alternating = bool(after.any())
-        self.is_consistent = not (after & self._is_commanded).any()
-
     def _find_oldest(self) -> None:
         self.time, self._other_time = find_oldest(self.times, self._is_commanded)
 
@@ -353,9 +312,6 @@ class JointStateCollector:
 def compile_kernels() -> None:
     """Compile all functions for joint states before the control loop starts."""
     compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
-    compile_for(ignored_step, 'f8(f8[:,::1], i8, f8)')
-    compile_for(way, 'f8(f8[:,::1], i8, f8, f8)')
-    compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
     compile_for(has_jumped, 'b1(f8[:,::1], i8, f8, f8)')
     compile_for(
         store_joint_state,
@@ -399,9 +355,8 @@ def store_joint_state(
       (3, l). NaN means that a value is not reported.
     - ``places`` contains the indices of the k joints to store, shape (2, k). Row 0 refers to the
       robot, row 1 to the message.
-    - ``known`` receives positions, velocities, times and efforts, shape (4, n). While positions of
-      an uncommanded joint alternate, its stored position stays the same, and its velocity is 0.
-    - ``tracks`` comes from `position_tracks.make_tracks`.
+    - ``known`` receives positions, velocities, times and efforts, shape (4, n).
+    - ``tracks`` comes from `position_jumps.make_tracks`.
     - ``flags`` says which joints are commanded, have a velocity, and have lost it, shape (3, n).
     - ``now`` is the time [s]. ``velocity_timeout`` is as in `JointStateCollector` [s].
 
@@ -409,7 +364,6 @@ def store_joint_state(
     sum of any of the following flags:
 
     - `STORED`: a joint was stored.
-    - `ALTERNATING`: the positions of a joint alternate faster than the joint can move.
     - `JUMPED`: `JointStateCollector.has_jumped` has to be set.
     - `LEAPT`: a commanded joint has apparently moved faster than it can.
     - `LOST`: the velocity of a joint is no longer reported.
@@ -441,18 +395,10 @@ def store_joint_state(
         if is_new or last == LONG_AGO:
             result |= JUMPED
         elapsed = now - last if is_known else math.inf
-        is_jump = has_jumped(tracks, i, position, elapsed)
-        elapsed = max(0.0, elapsed) if is_known else -1.0
-        is_alternating = track(tracks, i, position, elapsed)
-        if is_alternating:
-            result |= ALTERNATING
-        if is_alternating and not flags[_COMMANDED, i]:
-            known[VELOCITY, i] = 0.0
-        else:
-            if is_jump:
-                result |= JUMPED | LEAPT if flags[_COMMANDED, i] else JUMPED
-            known[POSITION, i] = position
-            known[VELOCITY, i] = velocity
+        if has_jumped(tracks, i, position, elapsed):
+            result |= JUMPED | LEAPT if flags[_COMMANDED, i] else JUMPED
+        known[POSITION, i] = position
+        known[VELOCITY, i] = velocity
         known[TIME, i] = now
         if has_efforts:
             known[EFFORT, i] = received[_EFFORT, j]

@@ -452,9 +452,6 @@ class ControlLoop:
             joints = self.collector.stale(now, self.controller.settings.state_timeout)
             if joints:
                 missing = [f'new joint states of {", ".join(joints)} on {states}']
-            elif not self.collector.is_consistent:
-                joints = list(self.collector.alternating())
-                missing = [f'consistent positions of {", ".join(joints)} on {states}']
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:

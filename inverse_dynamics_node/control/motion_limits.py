@@ -36,6 +36,7 @@ _BURST = 0.06  # [s]; states may be delayed for this long and then arrive togeth
 _SHORTEST = 0.002  # [s]; shortest interval for a speed that is taken from positions
 _FILTER = 0.05  # [s]; time constant of a speed that is taken from positions
 _COARSE = 0.02  # [rad or m]; steps of coarse encoders
+_MOST_JUMPS = 2.5  # jumps within about a second, before positions are said to alternate
 _LONGEST = 0.5  # [s]; after a longer interval between states, the history begins anew
 # Velocities contradict positions if the integral of the velocity differs from the change of
 # position. The permitted difference is a constant plus a fraction of the larger value plus an
@@ -49,10 +50,10 @@ _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, 
 # product counts, and fades within about a second.
 _LONGEST_PAUSE = 0.1  # [s]
 # Rows of `MotionLimits._rows`. Each column belongs to a commanded joint.
-_ROWS = 14
+_ROWS = 15
 _INDEX, _SPEED, _IS_CONTINUOUS, _TIME, _POSITION, _VELOCITY, _SHARE = range(7)
 # The history of a joint; see `observe_joints`.
-_PACE, _OVER, _WAY, _INTEGRAL, _ALLOWANCE, _ROOM_ABOVE, _ROOM_BELOW = range(7, _ROWS)
+_JUMPS, _PACE, _OVER, _WAY, _INTEGRAL, _ALLOWANCE, _ROOM_ABOVE, _ROOM_BELOW = range(7, _ROWS)
 
 
 class Finding(enum.IntEnum):
@@ -62,6 +63,7 @@ class Finding(enum.IntEnum):
     TOO_FAST = 1
     CONTRADICTION = 2
     JUMP = 3
+    ALTERNATION = 4
 
 
 class Problem(NamedTuple):
@@ -125,6 +127,7 @@ class MotionLimits:
     def reset(self) -> None:
         """Forget the motion so far."""
         self._rows[_TIME] = -math.inf
+        self._rows[_JUMPS] = 0.0
         self._rows[_SHARE] = 1.0
 
     def observe(self, state: State, *, is_following: bool) -> Problem | None:
@@ -186,12 +189,18 @@ class MotionLimits:
             text = f'{name} moved at {value:.3g} {unit}/s, limit {limit:.3g} {unit}/s'
         elif finding is Finding.JUMP:
             text = f'{name} jumped by {value:.3g} {unit}, which no motion explains'
+        elif finding is Finding.ALTERNATION:
+            text = (
+                f'{name} jumps to and fro by {abs(value):.3g} {unit}: does more than one node '
+                'publish its state?'
+            )
         else:
             text = (
                 f'the velocities of {name} contradict its positions: it moved by {value:.3g} '
                 f'{unit}, but its velocities add up to {self._rows[_INTEGRAL, k]:.3g} {unit}'
             )
-        self.reset()
+        if finding is not Finding.JUMP:
+            self.reset()
         return Problem(finding, text)
 
 
@@ -207,6 +216,7 @@ def observe_joints(
     speed limit. ``found`` receives the number of the joint, and its speed [rad/s or m/s] or its
     change of position [rad or m]. The rows of the history are:
 
+    - `_JUMPS`: the number of jumps within about a second
     - `_PACE`: the velocity, or that of the positions if no velocity is measured
     - `_OVER`: the time for which the velocity has exceeded the stop limit
     - `_WAY`, `_INTEGRAL`, `_ALLOWANCE`: change of position, integral of the velocity, and the
@@ -230,13 +240,15 @@ def observe_joints(
             rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)  # old states may follow
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
             continue
+        rows[_JUMPS, k] = max(0.0, rows[_JUMPS, k] - elapsed)
         if rows[_IS_CONTINUOUS, k] != 0.0:
             step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
         if abs(step) > room:
             rows[_PACE:_ROOM_ABOVE, k] = 0.0
             rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
-            finding, found[0], found[1] = 3, k, step
+            rows[_JUMPS, k] += 1.0
+            finding, found[0], found[1] = 4 if rows[_JUMPS, k] > _MOST_JUMPS else 3, k, step
             continue
         limit = factor * speed
         shown = step / max(elapsed, _SHORTEST)

@@ -299,8 +299,6 @@ class GraphInfo(NamedTuple):
     """Fully qualified name of this node."""
     others: OtherNodesStatus = OtherNodesStatus()
     """Other nodes; level and message are not set yet."""
-    state_publishers: tuple[str, ...] = ()
-    """Nodes that publish joint states; empty unless the positions contradict each other."""
     clock: ClockStatus | None = None
     """None unless the node uses simulated time."""
     silence: float = 0.0

@@ -16,7 +16,7 @@ from ..robot.model import Floats
 from .external_loads import IMU_TIMEOUT
 from .loop import ControlLoop
 from .settings import Mode, StalePolicy
-from .status import GraphInfo, Level, NodeNames
+from .status import GraphInfo, Level
 from .supervision import COMPUTING_PHASES, Phase, recovery_time, TOO_FAR_PHASES
 
 _LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
@@ -94,8 +94,6 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
         return f'{loop.controller.phase.value}: {loop.controller.law.cause_of_failure()}'
-    if not loop.collector.is_consistent:
-        return '; '.join(describe_alternating(loop).values())
     timeout = loop.controller.settings.state_timeout
     joints = ', '.join(loop.collector.stale(now, timeout))
     if joints:
@@ -119,23 +117,6 @@ def describe_recovery(loop: ControlLoop) -> str:
         f'arrived for {recovery_time(timeout):g} s without a gap longer than state_timeout '
         f'({timeout:g} s)'
     )
-
-
-def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> dict[str, str]:
-    """
-    Describe, by joint name, positions that alternate faster than the joint can move.
-
-    ``publishers`` are the nodes that publish joint states, if known.
-
-    """
-    question = 'does more than one node publish the state of this joint?'
-    if publishers:
-        question = f'published by {NodeNames.of(publishers)}'
-    return {
-        joint: f'positions of {joint} alternate between {min(pair):.4g} and {max(pair):.4g} '
-        f'faster than the joint can move ({question})'
-        for joint, pair in loop.collector.alternating().items()
-    }
 
 
 def describe_silence(around: GraphInfo) -> str:
@@ -263,9 +244,6 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return if_lost, '; '.join(
             filter(None, (f'joint states are lost: {", ".join(stale)}', silence))
         )
-    conflicts = describe_alternating(loop, around.state_publishers)
-    if conflicts:
-        return Level.ERROR, '; '.join(conflicts.values())
     if loop.controller.phase is Phase.STATE_LOST:
         return if_lost, describe_recovery(loop)
     problem = describe_motion(now, loop)

@@ -119,8 +119,8 @@ class StopDamping:
     def _follow(self, now: float, state: State | None, is_first: bool) -> str:
         """Store the motion of the commanded joints; return why it is unknown, or ''."""
         timeout = self._settings.state_timeout
-        if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
-            return 'the joint states are lost or contradictory'
+        if state is None or not 0.0 <= now - state.time <= timeout:
+            return 'the joint states are lost'
         q, qd, times = (x[self._index] for x in (state.q, state.qd, state.times))
         elapsed = times - self._times
         if not is_first and not ((elapsed >= 0.0) & (elapsed <= timeout)).all():

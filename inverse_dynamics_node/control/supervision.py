@@ -159,7 +159,7 @@ class StateSupervisor:
             self._lost_gain = 0.0
             return True
         is_fresh = 0.0 <= now - state.time <= timeout
-        if not (is_fresh and state.is_consistent):
+        if not is_fresh:
             if not was_lost:
                 self._lost_gain = gain
                 if state.time - self._fresh_since >= recovery_time(timeout):

@@ -15,7 +15,6 @@ from ..control.loop import Command, ControlLoop
 from ..control.status import Level, NodeNames, Part
 from ..control.status_text import (
     activity,
-    describe_alternating,
     describe_implausible,
     describe_late,
     describe_lost_imu,
@@ -101,11 +100,6 @@ class NodeLog:
             self._logger.warning(f'{topic}: {text}')
         else:
             self._logger.info(f'{topic}: {text}')
-
-    def report_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
-        """Report joints with contradictory positions, and the nodes that publish joint states."""
-        for joint, text in describe_alternating(loop, publishers).items():
-            self.error(('conflict', joint), text)
 
     def report_robot(self, loop: ControlLoop) -> None:
         """Report the loaded robot, and the warnings about its description."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 import time
 
@@ -54,11 +53,7 @@ class StatusPublisher:
         now = time.monotonic()
         elapsed, self._last_time = now - self._last_time, now
         loop, is_active = self._runner.loop, self._runner.is_active
-        if loop is not None:
-            loop.collector.forget_silent(self._runner.now())
         graph = self._inspect_graph(elapsed)
-        if loop is not None and loop.collector.has_alternating:
-            self._log.report_conflicts(loop, graph.state_publishers)
         silence = describe_silence(graph) if is_active else ''
         if silence:
             self._log.error('silence', silence)
@@ -77,12 +72,9 @@ class StatusPublisher:
         )
 
     def _inspect_graph(self, elapsed: float) -> GraphInfo:
-        node, loop = self._node, self._runner.loop
+        node = self._node
         states = self._inputs.state_count - self._last_count
         self._last_count = self._inputs.state_count
-        publishers: Sequence[str] = ()
-        if loop is not None and loop.collector.has_alternating:
-            publishers = self._graph.publishers('joint_states')
         publisher_count = node.count_publishers(node.resolve_topic_name('joint_states'))
         clock = self._graph.clock() if self._uses_sim_time else None
         is_paused = clock is not None and (clock.unchanged_for or 0.0) > _PERIOD
@@ -94,7 +86,6 @@ class StatusPublisher:
             state=str(node._state_machine.current_state[1]),
             name=node.get_fully_qualified_name(),
             others=self._graph.others(),
-            state_publishers=tuple(publishers),
             clock=clock,
             silence=self._stalled.update(
                 self._last_time,

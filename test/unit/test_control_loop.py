@@ -212,37 +212,25 @@ def step_with_two_publishers(loop, start, seconds, joint, offset, rate=200.0):
     return np.array(efforts)
 
 
-def test_contradictory_positions_of_a_commanded_joint_ramp_the_efforts_to_zero():
+def test_contradictory_positions_of_a_commanded_joint_stop_the_arm():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.0, stop_ramp=0.2))
     step_with_two_publishers(loop, 0.0, 1.0, 1, 0.0)
-    efforts = step_with_two_publishers(loop, 1.0, 2.0, 1, 0.7)
+    efforts = step_with_two_publishers(loop, 1.0, 1.0, 1, 0.7)
     is_changing = np.abs(np.diff(efforts[:, 1])) > 1.0
     assert np.count_nonzero(is_changing) <= 6
-    assert (efforts[60:] == 0.0).all()
-    assert loop.controller.phase is Phase.STATE_LOST
-    assert loop.collector.alternating() == {
-        NAMES[1]: (pytest.approx(0.8), pytest.approx(1.5))
-    } or (loop.collector.alternating() == {NAMES[1]: (pytest.approx(1.5), pytest.approx(0.8))})
-    # Consistent again: the alarm ends after at most 1 s, then states must be fresh for 0.2 s.
-    efforts = step_with_two_publishers(loop, 3.0, 1.5, 1, 0.0)
-    assert not efforts[100:140].all(axis=1).any()
-    assert efforts[-1] == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
-    assert loop.collector.alternating() == {}
+    assert (efforts[20:] == 0.0).all()
+    reason = loop.controller.supervisor.limit_stop
+    assert reason.startswith(f'{NAMES[1]} jumps to and fro by 0.7 rad: ')
 
 
-def test_contradictory_positions_of_another_joint_do_not_move_or_stop_the_arm():
+def test_contradictory_positions_of_another_joint_do_not_stop_the_arm():
     joints = [name for k, name in enumerate(NAMES) if k != 4]
-    loop = ControlLoop(MODEL, joints, Settings(start_ramp=0.0))
-    step_with_two_publishers(loop, 0.0, 1.0, 4, 1.5)
-    efforts = step_with_two_publishers(loop, 1.0, 1.0, 4, 1.5)
-    assert np.ptp(efforts, axis=0).max() == 0.0
-    assert np.abs(efforts).max() > 1.0
-    assert list(loop.collector.alternating()) == [NAMES[4]]
-    assert loop.collector.is_consistent
-    last = efforts[-1]
-    efforts = step_with_two_publishers(loop, 2.0, 2.0, 4, 0.0)
-    assert loop.collector.alternating() == {}
-    assert efforts[0] == pytest.approx(last)
+    loop = ControlLoop(MODEL, joints, Settings())
+    efforts = step_with_two_publishers(loop, 0.0, 2.0, 4, 1.5)
+    largest = np.abs(efforts).max()
+    assert largest > 1.0
+    assert np.abs(np.diff(efforts, axis=0)).max() <= 2.0 * largest * 0.005 / 0.5
+    assert loop.controller.phase is Phase.FLOATING
 
 
 def test_a_joint_cannot_be_both_commanded_and_locked():
@@ -344,16 +332,12 @@ def test_missing_joints_are_listed():
     assert loop.missing() == [missing]
 
 
-def test_old_and_contradictory_joint_states_are_listed_as_missing():
+def test_old_joint_states_are_listed_as_missing():
     loop = report_all(ControlLoop(MODEL))
     assert loop.missing(now=0.1) == []
     assert loop.missing('/joint_states', now=9.0) == [
         f'new joint states of {", ".join(NAMES)} on /joint_states'
     ]
-    for k in range(200):
-        q = [1.5 * (k % 2), *Q[1:]]
-        store_state(loop.collector, 0.005 * k, NAMES, q, np.zeros(6))
-    assert loop.missing(now=1.0) == [f'consistent positions of {NAMES[0]} on joint_states']
 
 
 def test_states_without_velocities_are_used_again_before_the_state_is_lost():

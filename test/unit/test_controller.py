@@ -633,12 +633,10 @@ def test_a_stop_lasts_until_resume_or_start():
         assert lift.is_stopping is False
 
 
-@pytest.mark.parametrize('is_consistent', [True, False])
-def test_a_start_waits_for_a_fresh_and_consistent_state(is_consistent):
+def test_a_start_waits_for_a_fresh_state():
     lift = controller(start_ramp=0.1, state_timeout=0.1)
-    old = state(0.0)._replace(is_consistent=is_consistent)
-    for now in (0.101 if is_consistent else 0.0, 5.0):
-        assert lift.step(now, old, None) is None
+    for now in (0.101, 5.0):
+        assert lift.step(now, state(0.0), None) is None
         assert lift.phase is Phase.WAITING
     lift.step(5.01, state(5.0), None)
     assert lift.step(5.06, state(5.06), None).efforts == pytest.approx(HOLD / 2)

@@ -367,76 +367,6 @@ def test_the_first_report_of_a_locked_joint_sets_the_jump_flag_until_it_is_clear
     assert collector.has_jumped
 
 
-def alternate(collector, joint, start, positions=(0.0, 1.5)):
-    """Report positions of one joint in turn for a second, and zero for the others."""
-    k = HAND.index(joint)
-    for i in range(200):
-        q = [0.0] * 3
-        q[k] = positions[i % 2]
-        store_state(collector, start + 0.005 * i, HAND, q, [1.0] * 3)
-    return start + 1.0
-
-
-def test_contradictory_positions_of_a_commanded_joint_set_the_jump_flag_every_time():
-    collector = hand()
-    for k in range(200):
-        collector.has_jumped = False
-        store_state(collector, 0.005 * k, HAND, [1.5 * (k % 2), 0.0, 0.0], [1.0] * 3)
-        assert collector.has_jumped == (k > 0)
-    assert list(collector.alternating()) == ['arm']
-    assert not collector.is_consistent
-
-
-def test_contradictory_positions_of_another_joint_set_the_jump_flag_and_hold_it_at_rest():
-    collector = hand()
-    time = alternate(collector, 'finger', 0.0)
-    assert list(collector.alternating()) == ['finger']
-    assert collector.is_consistent
-    assert collector.qd.tolist() == [1.0, 0.0, 1.0]
-    assert collector.has_jumped
-    collector.has_jumped = False
-    time = alternate(collector, 'finger', time)
-    assert not collector.has_jumped
-    for _ in range(2):
-        time = alternate(collector, 'finger', time, (0.0, 0.0))
-    assert collector.alternating() == {}
-    assert collector.has_jumped
-
-
-@pytest.mark.parametrize('joint', HAND[:2])
-def test_contradictory_positions_are_forgotten_when_nobody_reports_them_any_more(joint):
-    collector = hand()
-    time = alternate(collector, joint, 0.0)
-    assert list(collector.alternating()) == [joint]
-    collector.forget_silent(time)
-    assert collector.has_alternating
-    collector.has_jumped = False
-    collector.forget_silent(time + 1.1)
-    assert collector.alternating() == {}
-    assert collector.is_consistent
-    assert not collector.has_alternating
-    assert collector.has_jumped == (joint == 'finger')
-
-
-@pytest.mark.parametrize('names', [['arm', 'finger'], ['finger', 'arm']])
-def test_a_leap_and_contradictory_positions_in_one_message_are_both_noticed(names):
-    def alarm(leap_at):
-        collector = JointStateCollector(names, {}, ['arm'])
-        for k in range(100):
-            position = {'arm': 2.0 * (k >= leap_at), 'finger': 1.5 * (k % 2)}
-            collector.has_leapt = False
-            store_state(collector, 0.005 * k, names, [position[name] for name in names], [])
-            if collector.has_alternating:
-                break
-        return k, collector
-
-    count, collector = alarm(math.inf)
-    assert not collector.has_leapt
-    count_with_leap, collector = alarm(count)
-    assert count_with_leap == count < 99
-    assert collector.has_leapt
-
-
 def test_a_leap_is_kept_until_it_is_read():
     collector = hand()
     for now, q in ((0.0, [0.0] * 3), (0.005, [2.0, 0.0, 0.0]), (0.01, [2.0, 2.0, 0.0])):
@@ -444,27 +374,7 @@ def test_a_leap_is_kept_until_it_is_read():
     assert collector.has_leapt
 
 
-def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
-    collector = hand()
-    collector.has_jumped = True
-    alternate(collector, 'arm', 0.0)
-    assert collector.has_jumped
-
-
 def test_a_locked_joint_that_does_not_exist_is_named_with_those_that_do():
     words = r'nope.*, expected only joints of the robot: arm, finger, thumb'
     with pytest.raises(ConfigurationError, match=words):
         hand({'nope': 0.0})
-
-
-@pytest.mark.parametrize('locked', [{}, {'arm': 0.0}])
-def test_the_first_position_is_not_taken_for_a_motion(locked):
-    def reports_until_alarm(*positions):
-        collector = JointStateCollector(['arm'], locked)
-        for k in range(1000):
-            store_state(collector, 0.005 * k, ['arm'], [positions[k % 2]], [])
-            if collector.alternating():
-                return k
-        return None
-
-    assert reports_until_alarm(8.0, 0.0) == reports_until_alarm(0.0, 8.0) is not None

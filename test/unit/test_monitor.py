@@ -477,19 +477,6 @@ def test_warns_of_joints_far_outside_their_limits():
     )
 
 
-def test_contradictory_positions_are_an_error_with_the_publishers(loop):
-    for k in range(100):
-        store_state(loop.collector, 0.001 * k, JOINTS, [0.1, 1.5 * (k % 2)], [0.0, 0.0])
-        loop.step(0.001 * k)
-    words = f'positions of {JOINTS[1]} alternate between 0 and 1.5 faster than the joint can move'
-    publishers = ('/robot', '/joint_state_publisher')
-    found = part('joint states', loop, 0.1, state_publishers=publishers)
-    assert found.level is ERROR
-    assert found.message == f'{words} (published by /robot, /joint_state_publisher)'
-    question = 'does more than one node publish the state of this joint?'
-    assert f'{words} ({question})' in activity(0.1, loop)
-
-
 def test_locked_and_late_joints_are_named():
     robot = load_urdf(STANFORD)
     names = robot.joint_names

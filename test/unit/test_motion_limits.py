@@ -102,6 +102,16 @@ def test_an_arm_that_is_pushed_becomes_heavy_and_is_not_stopped(guiding):
     assert not arm.reason
 
 
+def test_positions_that_jump_to_and_fro_stop_the_arm_in_every_mode():
+    for mode in Mode:
+        arm = Arm(mode=mode)
+        arm.move((0.0, 0.0), 0.1)
+        for k in range(5):
+            arm.q = Q + np.array([0.0, 1.5 * (k % 2)])
+            arm.move((0.0, 0.0))
+        assert f'{NAMES[1]} jumps to and fro by 1.5 rad' in arm.reason
+
+
 def test_an_arm_that_falls_is_held_at_every_speed():
     arm = Arm(guiding_speed=0.5)
     falling = -np.sign(arm.move((0.0, 0.0))[-1][0]) * 0.8 * SPEED[0]

@@ -98,14 +98,3 @@ def test_a_clock_that_is_set_back_leaves_no_time_for_motion():
     q = np.zeros((3, N))
     q[2, 1] = 0.01
     assert jumps([9.0, 9.005, 1.0], q) == [False, False, True]
-
-
-def test_the_position_of_a_joint_that_alternates_is_not_used_and_no_jump():
-    collector = JointStateCollector(NAMES, {}, NAMES[:-1], ROBOT)
-    for k in range(400):
-        q = np.zeros(N)
-        q[-1] = 1.5 * (k % 2)
-        collector.has_jumped = False
-        store_state(collector, 0.005 * k, NAMES, q, ())
-    assert list(collector.alternating()) == [NAMES[-1]]
-    assert not collector.has_jumped

@@ -31,7 +31,6 @@ class Arm:
         self.time, self.q, self.qd = 0.0, Q.copy(), np.array(speed)
         self.reported = reported  # factor of the velocities
         self.lost_since = math.inf
-        self.is_consistent = True
         self.step()
 
     def step(self, period=PERIOD):
@@ -40,7 +39,7 @@ class Arm:
         if self.time < self.lost_since:
             self.q = self.q + period * self.qd
         time = min(self.time, self.lost_since)
-        state = joint_state(self.q, self.reported * self.qd, time, None, self.is_consistent)
+        state = joint_state(self.q, self.reported * self.qd, time)
         return self.controller.step(self.time, state, None).efforts.copy()
 
     def run(self, duration):
@@ -148,17 +147,9 @@ def test_states_that_are_lost_leave_the_ordinary_stop():
     late = arm.run(0.2)
     # state_timeout is 0.1 s
     assert late[21:].tolist() == plain[41:60].tolist()
-    assert arm.report == 'the joint states are lost or contradictory'
+    assert arm.report == 'the joint states are lost'
     arm.lost_since = math.inf
     assert not arm.run(1.0).any()
-
-
-def test_positions_that_contradict_each_other_leave_the_ordinary_stop():
-    arm = Arm()
-    arm.controller.stop()
-    arm.run(0.1)
-    arm.is_consistent = False
-    assert arm.run(0.05).tolist() == ordinary()[20:30].tolist()
 
 
 @pytest.mark.parametrize('reported', [-1.0, 0.0, 57.3], ids=['sign', 'none', 'degrees'])
