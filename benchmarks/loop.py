@@ -217,11 +217,13 @@ def states() -> tuple[Floats, Floats, Floats]:
     """
     Draw positions and velocities, shape (count, 7), and accelerations, shape (7,).
 
-    Successive states differ by less than an arm moves between two messages. The node would take
-    larger steps for contradictory publishers, and stop.
+    Successive states differ by less than an arm moves between two messages, and the joints are so
+    slow that positions which hardly change do not contradict the velocities. Otherwise, the motion
+    limits of the node would stop the arm.
     """
     rng = np.random.default_rng(SEED)
     q, qd, qdd = rng.uniform(-0.5, 0.5, (3, 7))
+    qd *= 0.02
     # All states differ, because the joints move along circles.
     phase = 2.0 * np.pi * np.arange(STATES)[:, np.newaxis] / STATES
     vibration = 1e-4 * np.sin(phase + 0.5 * np.pi * (np.arange(7) % 2))
