@@ -76,8 +76,8 @@ def _report(result: DemoRun, path: Path | None) -> int:
     gap = longest_gap(result)
     if gap > HARMLESS:
         say(
-            f'The machine was busy: no command came for {1e3 * gap:.0f} ms, too long for any '
-            'control loop. Close other programs.'
+            f'The machine was busy: no command or joint state came for {1e3 * gap:.0f} ms, too '
+            'long for any control loop. Close other programs.'
         )
     print(verdict(checks), flush=True)
     return 0 if all(check.passed for check in checks) else 1

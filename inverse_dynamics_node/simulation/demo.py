@@ -103,6 +103,8 @@ class DemoRun(NamedTuple):
     """Time of the latest joint state when a command arrived, shape (m,) [s]."""
     commands: Floats
     """Efforts commanded by the node, shape (m, n) [N m or N]."""
+    pause: float
+    """Longest time between two joint states on the steady clock [s]."""
 
 
 class Check(NamedTuple):
@@ -256,6 +258,8 @@ class Commander(Node):
         """Time since the start of the motion [s]."""
         self.last_state = math.inf
         """Time of the latest joint state on the steady clock [s]."""
+        self.pause = 0.0
+        """Longest time between two joint states since the start of the motion [s]."""
         self.is_followed = False
         """Whether the robot has left the pose in which it was held, and reached the reference."""
         self._robot, self._motion, self._load = robot, motion, load
@@ -289,10 +293,14 @@ class Commander(Node):
         """Return what was recorded since the start of the motion."""
         times, positions, desired = map(np.array, zip(*self._states, strict=True))
         command_times, commands = map(np.array, zip(*self._commands, strict=True))
-        return DemoRun(self._robot, self._load, times, positions, desired, command_times, commands)
+        recorded = times, positions, desired, command_times, commands
+        return DemoRun(self._robot, self._load, *recorded, self.pause)
 
     def _on_state(self, message: JointState) -> None:
-        self.last_state = time.monotonic()
+        steady = time.monotonic()
+        if self._begins:
+            self.pause = max(self.pause, steady - self.last_state)
+        self.last_state = steady
         order = [message.name.index(name) for name in self._robot.joint_names]
         q = np.array(message.position)[order]
         stamp = message.header.stamp
@@ -478,5 +486,5 @@ def _between(rows: Floats, times: Floats, begin: float, end: float) -> Floats:
 
 
 def longest_gap(run: DemoRun) -> float:
-    """Return the longest time between two commands [s]."""
-    return float(np.max(np.diff(run.command_times), initial=0.0))
+    """Return the longest time between two commands or two joint states [s]."""
+    return float(np.max(np.diff(run.command_times), initial=run.pause))

@@ -133,7 +133,7 @@ def run_of(moving=0.002, drift=0.0, unknown=0.1, known=0.0, step=0.0, period=0.0
     positions[times >= 10.6, 0] = known
     commands[command_times >= 10.6, 0] += step
     load = Load('tool0', 2.0, np.full(count, 10.0), np.full(count, 0.1))
-    return DemoRun(ROBOT, load, times, positions, 0.0 * positions, command_times, commands)
+    return DemoRun(ROBOT, load, times, positions, 0.0 * positions, command_times, commands, 0.0)
 
 
 @pytest.mark.parametrize(

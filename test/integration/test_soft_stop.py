@@ -145,6 +145,11 @@ def test_a_second_signal_ends_the_damping(run_node, robot):
 def test_a_node_in_simulated_time_damps_the_motion(run_node, robot):
     robot.keep_ticking(100.0)
     node, motion = run_moving_arm(run_node, robot, use_sim_time=True)
+    # The first time may arrive after the first states, which are then lost for a moment.
+    began = len(robot.commands)
+    robot.wait_until(
+        lambda: len(robot.commands) > began + 50 and np.any(robot.commands[-1]), 'commands'
+    )
     node.interrupt()
     motion.wait_until_damped()
     motion.rest()
