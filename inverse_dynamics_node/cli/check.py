@@ -25,9 +25,8 @@ from ..report.tables import (
 from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .console import progress, say, show
-from .output_files import check_outputs
-from .pictures.check import draw
+from .console import check_outputs, progress, say, show
+from .pictures.robot import draw_workspace
 from .pictures.style import write_picture
 
 EPILOG = """\
@@ -96,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     tables = [*model_tables(dynamics), workspace_table(workspace, payload)]
     _show(f'{_usable(warnings)} {verdict(workspace, payload)}', tables, warnings)
     if options.picture:
-        drawing = partial(draw, workspace, payload, options.urdf.name)
+        drawing = partial(draw_workspace, workspace, payload, options.urdf.name)
         write_picture(drawing, options.picture)
         print(f'written: {options.picture}')
     return arguments.strict_code(options, warnings)

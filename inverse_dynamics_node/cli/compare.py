@@ -17,8 +17,7 @@ from ..report.diagnosis_text import diagnosis_warning
 from ..report.tables import warnings_as_text
 from ..robot.limit_checks import position_warnings
 from . import arguments
-from .console import say, show
-from .output_files import check_outputs, write_file
+from .console import check_outputs, say, show, write_file
 from .pictures.compare import draw
 from .pictures.style import try_to_draw
 from .recordings import measured_efforts, read_recording

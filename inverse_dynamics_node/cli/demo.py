@@ -11,8 +11,7 @@ from ..report.tables import table
 from ..ros.middleware import stay_on_this_machine
 from ..simulation.demo import Check, DemoRun, HARMLESS, judge, longest_gap, run_demo, unused_domain
 from .arguments import add_force, add_picture, new_parser
-from .console import collected_signals, say, show
-from .output_files import check_outputs
+from .console import check_outputs, collected_signals, say, show
 from .pictures import demo as picture
 from .pictures.style import write_picture
 

@@ -31,9 +31,8 @@ from ..report.tables import (
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning, RobotModel
 from . import arguments
-from .console import progress, say, show
-from .output_files import check_outputs, new_file
-from .pictures.effort import draw
+from .console import check_outputs, new_file, progress, say, show
+from .pictures.robot import draw_requirements
 from .pictures.style import try_to_draw
 
 EPILOG = f"""\
@@ -131,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
     with new_file(table) as temporary:
         write_table(temporary, fine, requirements.efforts)
     title = f'{robot.name}: efforts along {options.trajectory.name}\n{load}'
-    drawing = partial(draw, robot, fine, requirements, title)
+    drawing = partial(draw_requirements, robot, fine, requirements, title)
     if path := try_to_draw(drawing, options, f'{stem}.png'):
         written.append(path)
     print('\n'.join(f'written: {path}' for path in written))

@@ -24,8 +24,7 @@ from ..robot.capsules import body_capsules
 from ..robot.model import RobotModel
 from ..robot.urdf.shapes import read_shapes
 from . import arguments
-from .console import progress, say, show
-from .output_files import check_outputs, new_file
+from .console import check_outputs, new_file, progress, say, show
 from .pictures.excite import draw
 from .pictures.style import try_to_draw
 

@@ -22,8 +22,7 @@ from ..robot.kinematics import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments
-from .console import progress, say, show
-from .output_files import check_outputs, write_file
+from .console import check_outputs, progress, say, show, write_file
 from .pictures.identify import draw
 from .pictures.style import try_to_draw
 from .recordings import read_recording

@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 from ..analysis.diagnosis.live import Agreement, Obstacle, Outcome
 from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
-from ..report.agreement_text import sentence
+from ..report.diagnosis_text import agreement_sentence
 from ..report.tables import counted
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
         _headline(observer, agreement),
-        _text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
+        _text(agreement_sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
     ]
     if status is not None:
         parts += _problems(status)
@@ -246,7 +246,7 @@ def as_line(observer: Observer, agreement: Agreement) -> str:
         words.append('dry run' if status.loop.is_dry_run else status.loop.state)
         rate = status.joint_states.rate if status.joint_states else None
         words.append(f'{_number(rate, 0)} Hz')
-    return escaped(f'{" ".join(words)}: {sentence(agreement)}')
+    return escaped(f'{" ".join(words)}: {agreement_sentence(agreement)}')
 
 
 def as_json(
@@ -262,7 +262,7 @@ def as_json(
         'robot': observer.robot.name if observer.robot else None,
         'outcome': agreement.outcome.value,
         'cause': None if agreement.cause is None else agreement.cause.value,
-        'sentence': sentence(agreement),
+        'sentence': agreement_sentence(agreement),
         'exit_code': codes[agreement.outcome],
         'problem_joints': list(fault.joints) if fault else [],
         'problem_values': [_known(value) for value in values],

@@ -15,7 +15,7 @@ from ..errors import (
     shortened,
     TrajectoryError,
 )
-from .output_files import OutputError
+from .console import OutputError
 
 _COMMANDS = {
     'without a robot': {
@@ -120,7 +120,7 @@ def _run(arguments: list[str]) -> int:
         print(_HELP.format(commands='\n\n'.join(map(_listing, _COMMANDS.items()))))
         return 0 if command else _INVALID_ARGUMENTS
     if command == '--version':
-        from ..ros.version import version
+        from ..ros import version
 
         print(f'inverse_dynamics {version()}')
         return 0

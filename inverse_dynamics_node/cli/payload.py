@@ -23,9 +23,16 @@ from ..report.payload_report import (
 )
 from ..robot.kinematics import last_link
 from . import arguments
-from .console import collected_signals, progress, say, show
-from .nodes import choose_node, node_name
-from .output_files import check_outputs, output_path, OutputError
+from .arguments import choose_node, node_name
+from .console import (
+    check_outputs,
+    collected_signals,
+    output_path,
+    OutputError,
+    progress,
+    say,
+    show,
+)
 from .pictures.compare import draw_payload
 from .pictures.style import write_picture
 from .recordings import measured_efforts, read_recording, reported_convention, scaled

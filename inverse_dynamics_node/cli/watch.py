@@ -23,11 +23,11 @@ from ..analysis.diagnosis.live import (
     StateRate,
 )
 from ..control.status import EffortsStatus, Level, ModelStatus
-from ..report.agreement_text import sentence
+from ..report.diagnosis_text import agreement_sentence
 from . import arguments
+from .arguments import choose_node, MOST_DISCOVERY, node_name, only_one
 from .console import handled_signals
 from .live_view import as_json, as_line, LiveView
-from .nodes import choose_node, MOST_DISCOVERY, node_name, only_one
 from .recordings import reported_convention
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ class _Watch:
                         lambda: view.show(self.observer, self.sample, self.agreement), _FRAME
                     )
                 finally:
-                    view.last_words = f'{self.observer.name}: {sentence(self.agreement)}'
+                    view.last_words = f'{self.observer.name}: {agreement_sentence(self.agreement)}'
         return CODES[self.agreement.outcome]
 
     def _loop(self, show: Any, period: float) -> None:

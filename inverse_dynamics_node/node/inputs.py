@@ -23,8 +23,8 @@ from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
-from ..ros import qos
 from ..ros.cdr import JointStateReader
+from ..ros.middleware import BEST_EFFORT, overridable, QUEUED, RELIABLE
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
@@ -53,26 +53,26 @@ class Inputs:
             kind: Any, topic: str, callback: Any, profile: QoSProfile, raw: bool = False
         ) -> Any:
             return node.create_subscription(
-                kind, topic, callback, profile, raw=raw, **qos.overridable()
+                kind, topic, callback, profile, raw=raw, **overridable()
             )
 
         topic = '~/desired_accelerations'
         on_accelerations = partial(self._on_reference, topic, _read_accelerations)
-        subscribe(Float64MultiArray, topic, on_accelerations, qos.RELIABLE)
+        subscribe(Float64MultiArray, topic, on_accelerations, RELIABLE)
         # Messages for several links may arrive at once.
-        subscribe(InertiaStamped, '~/payload', self._on_payload, qos.QUEUED)
-        subscribe(WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED)
-        subscribe(Vector3Stamped, '~/gravity', self._on_gravity, qos.RELIABLE)
-        subscribe(Imu, 'imu', self._on_imu, qos.BEST_EFFORT)
+        subscribe(InertiaStamped, '~/payload', self._on_payload, QUEUED)
+        subscribe(WrenchStamped, '~/external_wrench', self._on_external_wrench, QUEUED)
+        subscribe(Vector3Stamped, '~/gravity', self._on_gravity, RELIABLE)
+        subscribe(Imu, 'imu', self._on_imu, BEST_EFFORT)
         self._states = subscribe(
-            JointState, 'joint_states', self._on_joint_state, qos.BEST_EFFORT, raw=True
+            JointState, 'joint_states', self._on_joint_state, BEST_EFFORT, raw=True
         )
         # Raw, because deserializing a long trajectory takes seconds.
         topic = '~/reference'
         on_reference = partial(self._on_reference, topic, _read_reference)
-        subscribe(JointTrajectory, topic, on_reference, qos.RELIABLE, raw=True)
+        subscribe(JointTrajectory, topic, on_reference, RELIABLE, raw=True)
         subscribe(
-            JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, qos.RELIABLE, raw=True
+            JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, RELIABLE, raw=True
         )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:

@@ -85,7 +85,7 @@ def _main(args: list[str], stop: _Stop) -> int:
         print(help_text())
         return 0
     if '--version' in args:
-        from ..ros.version import version
+        from ..ros import version
 
         print(f'inverse_dynamics_node {version()}')
         return 0
@@ -129,7 +129,7 @@ def _run(stop: _Stop) -> int:
     from .node import InverseDynamicsNode
     from .runner import Watchdog
     from .scheduling import Scheduling
-    from .worker import Worker
+    from .trajectory_filler import Worker
 
     scheduling = Scheduling()
     worker = Worker(has_process=True)

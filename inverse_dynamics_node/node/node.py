@@ -18,8 +18,8 @@ from std_msgs.msg import String
 from ..control.status_text import OUTDATED
 from ..control.stop_damping import TIMEOUT
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
-from ..ros import qos
 from ..ros.graph import Graph
+from ..ros.middleware import LATCHED, overridable
 from .configure import check_configuration, make_loop
 from .description_file import load_robot
 from .inputs import Inputs
@@ -37,8 +37,7 @@ from .runner import LoopRunner
 from .scheduling import Scheduling
 from .services import contain_errors, Services
 from .status_publisher import StatusPublisher
-from .trajectory_filler import TrajectoryFiller
-from .worker import Worker
+from .trajectory_filler import TrajectoryFiller, Worker
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
 # On a busy machine, an answer is lost if the node leaves the graph before the client has read it.
@@ -110,8 +109,8 @@ class InverseDynamicsNode(LifecycleNode):
             String,
             'robot_description',
             self._on_robot_description,
-            qos.LATCHED,
-            **qos.overridable(),
+            LATCHED,
+            **overridable(),
         )
         self._inputs = Inputs(self, self._runner, self._filler)
         Services(self, self._runner)

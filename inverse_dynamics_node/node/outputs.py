@@ -15,8 +15,8 @@ from std_msgs.msg import Float64MultiArray, String
 
 from ..control.loop import ControlLoop
 from ..robot.model import Floats
-from ..ros import qos
 from ..ros.cdr import serialize_numbers
+from ..ros.middleware import LATCHED, overridable, RELIABLE
 
 _NO_NUMBERS: Floats = np.zeros(0)
 
@@ -26,7 +26,7 @@ class Outputs:
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
-            return node.create_lifecycle_publisher(kind, topic, qos.RELIABLE, **qos.overridable())
+            return node.create_lifecycle_publisher(kind, topic, RELIABLE, **overridable())
 
         self._node, self._clock = node, node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
@@ -39,7 +39,7 @@ class Outputs:
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
         """Publishers of the topics that may carry the commands."""
         self._external_efforts = publisher(JointState, '~/external_efforts')
-        self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
+        self._description = node.create_publisher(String, '~/robot_description', LATCHED)
         self._joints = JointState()
         self._subscribed: set[Any] = set()
 

@@ -12,8 +12,8 @@ from rclpy.lifecycle import LifecycleNode
 from ..control.monitor import StalledPublishers
 from ..control.status import GraphInfo, Topics
 from ..control.status_text import describe_silence
-from ..ros import qos
 from ..ros.diagnostics import write_status
+from ..ros.middleware import QUEUED
 from .inputs import Inputs
 from .runner import LoopRunner
 from .scheduling import Scheduling
@@ -36,7 +36,7 @@ class StatusPublisher:
         self._graph, self._log = runner.graph, runner.log
         self._scheduling = scheduling
         self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
-        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', QUEUED)
         self._last_time = time.monotonic()
         self._last_count = 0
         self._stalled = StalledPublishers(self._last_time)

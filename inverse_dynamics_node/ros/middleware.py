@@ -1,4 +1,8 @@
-"""Starts ROS without the shared memory of Fast DDS, which can block a publisher for 0.33 s."""
+"""
+Starts ROS without the shared memory of Fast DDS, and sets the quality of service of topics.
+
+The shared memory can block a publisher for 0.33 s.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,21 @@ import os
 from pathlib import Path
 
 import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from ..errors import ConfigurationError
+
+BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+QUEUED = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
 
 LOCAL_PROFILE = str(Path(__file__).with_name('local_udp.xml'))
 
@@ -132,3 +147,8 @@ def _hidden_range() -> Iterator[None]:
     finally:
         del os.environ[_RANGE]
         os.environ.update(before)
+
+
+def overridable() -> dict[str, QoSOverridingOptions]:
+    """Return the options that let parameters set the quality of service of a topic."""
+    return {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}

@@ -25,10 +25,9 @@ from ..control.status import NodeStatus
 from ..errors import InverseDynamicsError, JointStateError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
-from . import qos
 from .cdr import JointStateReader
 from .diagnostics import read_status
-from .middleware import explained_start, start_ros
+from .middleware import explained_start, LATCHED, QUEUED, start_ros
 
 _MOST_WARNINGS = 50
 _RATES = 3  # number of rate reports to keep; a report arrives every second
@@ -128,9 +127,9 @@ class Observer:
         """The latest warnings and errors, in the order of their arrival."""
         self.on_joint_state: Callable[[bytes, float], None] | None = None
         """Called by `poll` with each serialized joint state and its arrival time [s]."""
-        self._diagnostics = self._subscribe(DiagnosticArray, self._diagnostics_topic(), qos.QUEUED)
+        self._diagnostics = self._subscribe(DiagnosticArray, self._diagnostics_topic(), QUEUED)
         self._logs = self._subscribe(Log, '/rosout', _LOG)
-        self._descriptions = self._subscribe(String, f'{name}/robot_description', qos.LATCHED)
+        self._descriptions = self._subscribe(String, f'{name}/robot_description', LATCHED)
         self._topics: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
         self._reader = JointStateReader()

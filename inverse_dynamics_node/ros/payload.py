@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 
 from ..errors import ConfigurationError
 from ..robot.rigid_body import RigidBody
-from . import qos
+from .middleware import QUEUED
 from .observer import Observer
 
 _PATIENCE = 10.0  # [s]; diagnostics come once a second
@@ -42,7 +42,7 @@ def apply_payload(node: Node, observer: Observer, link: str, payload: RigidBody)
         ),
     )
     topic = f'{observer.name}/payload'
-    publisher = node.create_publisher(InertiaStamped, topic, qos.QUEUED)
+    publisher = node.create_publisher(InertiaStamped, topic, QUEUED)
     end, due = time.monotonic() + _PATIENCE, 0.0
     while not _has_payload(observer, link, payload):
         now = time.monotonic()

@@ -36,8 +36,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.kinematics import last_link, path_to
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
-from ..ros.middleware import start_ros
-from ..ros.qos import BEST_EFFORT
+from ..ros.middleware import BEST_EFFORT, start_ros
 from .mujoco import require_inertia, SimulationError
 from .trajectory import Oscillation, plan, start_pose
 

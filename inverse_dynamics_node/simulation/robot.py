@@ -45,8 +45,7 @@ from ..errors import InverseDynamicsError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from ..robot.urdf.schema import inertia_tensor, MOMENTS
-from ..ros.middleware import explained_start, start_ros
-from ..ros.qos import LATCHED
+from ..ros.middleware import explained_start, LATCHED, start_ros
 from .drivers import Actuation, Driver, Form, IDEAL, read_command
 from .hand_over import COMPLAINT_PERIOD, HandOver, RELEASE
 from .mujoco import MujocoRobot

@@ -5,8 +5,8 @@ import resource
 import subprocess
 import sys
 
+from inverse_dynamics_node.cli.console import check_outputs, new_file, OutputError
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.output_files import check_outputs, new_file, OutputError
 import pytest
 from robot_files import ROOT, STANFORD
 

@@ -61,7 +61,7 @@ def test_version_of_a_source_tree_that_is_not_installed():
         'def version(name):\n'
         '    raise metadata.PackageNotFoundError(name)\n'
         'metadata.version = version\n'
-        'from inverse_dynamics_node.ros.version import version\n'
+        'from inverse_dynamics_node.ros import version\n'
         'print(version())\n'
     )
     assert run([sys.executable, '-c', code]).stdout == f'{version()}\n'

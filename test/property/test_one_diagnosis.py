@@ -17,9 +17,8 @@ from inverse_dynamics_node.analysis.diagnosis.live import (
     Outcome,
 )
 from inverse_dynamics_node.analysis.recordings.signals import Recording
-from inverse_dynamics_node.report.agreement_text import sentence
 from inverse_dynamics_node.report.compare_report import verdict
-from inverse_dynamics_node.report.diagnosis_text import headline
+from inverse_dynamics_node.report.diagnosis_text import agreement_sentence, headline
 import numpy as np
 import pytest
 from robot_files import real_robots
@@ -227,8 +226,8 @@ def test_compare_and_watch_say_the_same(motion, fault):
     assert fault.words in words
     assert headline(watched) == words
     assert words[1:] in verdict(result)
-    assert sentence(agreement).startswith(words)
-    assert fault.advice in sentence(agreement)
+    assert agreement_sentence(agreement).startswith(words)
+    assert fault.advice in agreement_sentence(agreement)
 
 
 @pytest.mark.parametrize(
@@ -247,14 +246,14 @@ def test_watch_names_a_fault_of_an_arm_at_rest(motion, name):
     assert not agreement.is_moving
     assert [found.kind for found in agreement.faults] == ([fault.kind] if fault.kind else [])
     for found in agreement.faults:
-        assert headline(found) in sentence(agreement)
-        assert fault.advice in sentence(agreement)
+        assert headline(found) in agreement_sentence(agreement)
+        assert fault.advice in agreement_sentence(agreement)
         joints = {robot.joint_names[j] for j in fault.joints}
         assert joints - {*agreement.unchecked} <= {*found.joints} <= joints or not joints
         if found.kind is K.PAYLOAD:
             assert found.values[0] == pytest.approx(fault.values[0], rel=0.2)
             is_known = np.isfinite(found.values[1:]).any()
-            assert (' m in the frame of the link; ' in sentence(agreement)) == is_known
+            assert (' m in the frame of the link; ' in agreement_sentence(agreement)) == is_known
         elif fault.values:
             assert found.values == pytest.approx(fault.values, rel=0.02, abs=0.3)
 

@@ -15,7 +15,7 @@ from inverse_dynamics_node.analysis.diagnosis.live import (
     Outcome,
     StateRate,
 )
-from inverse_dynamics_node.report.agreement_text import sentence
+from inverse_dynamics_node.report.diagnosis_text import agreement_sentence
 import numpy as np
 import pytest
 from runs import EVERY_ROBOT, exciting, ROBOTS
@@ -64,7 +64,7 @@ def test_robot_like_the_model_agrees(name, moves):
 
 def test_sentence_of_an_agreement_has_residual_and_effort():
     robot, samples = samples_of()
-    text = sentence(diagnose_samples(samples, robot, GRAVITY))
+    text = agreement_sentence(diagnose_samples(samples, robot, GRAVITY))
     assert text == (
         'model and robot agree: RMS residual 0.13 of 4.8 N m and 0.75 of 57 N; '
         'not checked because of small efforts: joint_6'
@@ -75,8 +75,10 @@ def test_swapped_sign_forbids_to_go_live():
     robot, samples = samples_of()
     agreement = diagnose_samples(flipped(samples, 'joint_3'), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.SIGN)
-    assert sentence(agreement).startswith('joint_3 reports efforts with the wrong sign; ')
-    assert sentence(agreement).endswith(
+    assert agreement_sentence(agreement).startswith(
+        'joint_3 reports efforts with the wrong sign; '
+    )
+    assert agreement_sentence(agreement).endswith(
         ' N; do not go live. Change the sign in the driver. If positions have the wrong sign too, '
         'change the sign of the <axis> in the URDF instead. Until then, do not send efforts of '
         'the node to this joint: they would drive the joint in the wrong direction'
@@ -97,7 +99,7 @@ def test_payload_and_swapped_sign_are_both_reported():
     sign, payload = agreement.faults
     assert (sign.kind, sign.joints) == (FaultKind.SIGN, ('joint_2',))
     assert (payload.kind, payload.link) == (FaultKind.PAYLOAD, 'tool0')
-    text = sentence(agreement)
+    text = agreement_sentence(agreement)
     assert text.startswith("joint_2 reports efforts with the wrong sign; link 'tool0' carries 2.")
     assert '; do not go live. Change the sign' in text
 
@@ -145,14 +147,16 @@ def test_gravity_is_a_fault_only_if_it_contradicts_the_convention(name, conventi
         assert agreement.outcome is Outcome.AGREE
     else:
         assert agreement.cause is Obstacle.SMALL_EFFORTS
-        assert 'without gravity, modelled and measured efforts are too' in sentence(agreement)
+        assert 'without gravity, modelled and measured efforts are too' in agreement_sentence(
+            agreement
+        )
     agreement = samples_with_gravity(name, moves, convention, not is_in)
     assert agreement.outcome is Outcome.DIFFER
     kind = FaultKind.GRAVITY_COMPENSATED if is_in else FaultKind.GRAVITY_MEASURED
     assert [fault.kind for fault in agreement.faults] == [kind]
     headline, advice = CONTRADICTIONS[convention]
-    assert sentence(agreement).startswith(f'the measured efforts {headline}')
-    assert advice in sentence(agreement)
+    assert agreement_sentence(agreement).startswith(f'the measured efforts {headline}')
+    assert advice in agreement_sentence(agreement)
 
 
 def test_unknown_payload_beside_gravity_that_is_measured_is_weighed():
@@ -192,7 +196,7 @@ def test_some_samples_cannot_be_compared(change, obstacle, words):
     robot, samples = samples_of(moves=False)
     agreement = diagnose_samples(change(samples), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, obstacle)
-    assert words in sentence(agreement)
+    assert words in agreement_sentence(agreement)
 
 
 def test_joints_without_effort_are_left_out():
@@ -280,7 +284,7 @@ def test_judgement_names_what_matters_most(change, arguments, expected, words):
     robot, samples = samples_of()
     agreement = judged(change(samples), robot, **arguments)
     assert (agreement.outcome, agreement.cause) == expected
-    assert words in sentence(agreement)
+    assert words in agreement_sentence(agreement)
 
 
 def test_joints_that_are_too_little_loaded_are_not_checked():
@@ -289,7 +293,7 @@ def test_joints_that_are_too_little_loaded_are_not_checked():
         signal[:, 2:] *= 1e-3
     agreement = judged(samples, robot, commanded=robot.joint_names)
     assert (agreement.outcome, len(agreement.checked)) == (Outcome.FEW_JOINTS, 1)
-    assert 'only 1 of 7 joints could be checked' in sentence(agreement)
+    assert 'only 1 of 7 joints could be checked' in agreement_sentence(agreement)
 
 
 @pytest.mark.parametrize(

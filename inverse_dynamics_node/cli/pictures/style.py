@@ -13,7 +13,7 @@ import numpy as np
 
 from ...report.tables import number, wrapped
 from ...robot.model import Floats
-from ..output_files import new_file
+from ..console import new_file
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED = (
     '#0072B2',
