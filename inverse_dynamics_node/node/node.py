@@ -31,7 +31,6 @@ from .ros_parameters import (
     declare_parameters,
     is_own_parameter,
     unknown_overrides,
-    unused_qos_overrides,
 )
 from .runner import LoopRunner
 from .scheduling import Scheduling
@@ -80,8 +79,6 @@ class InverseDynamicsNode(LifecycleNode):
         self._reason_to_stop, self._is_ending = 'deactivated', False
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         self._create_parts(configuration, skip_ramp)
-        for problem in unused_qos_overrides(self):
-            self.get_logger().warning(problem)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 

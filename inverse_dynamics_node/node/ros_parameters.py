@@ -128,17 +128,6 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
     return f"unknown parameter '{shortened(name)}'{hint}"
 
 
-def unused_qos_overrides(node: Node) -> list[str]:
-    """Describe each QoS override that matches no publisher or subscription of the node."""
-    declared = [name for name in _declared(node) if name.startswith(f'{_QOS}.')]
-    return [
-        f"parameter '{name}' matches no publisher or subscription of this node"
-        + did_you_mean(name, declared)
-        for name in _overrides(node)
-        if name.startswith(f'{_QOS}.') and name not in declared
-    ]
-
-
 def _overrides(node: Node) -> dict[str, Any]:
     """Return the parameters on the command line and in parameter files, even if undeclared."""
     # The public method would declare every name, even a mistyped name.

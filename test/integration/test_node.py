@@ -322,10 +322,7 @@ def test_every_bad_parameter_has_a_line_of_its_own(run_node):
 
 
 def test_unknown_parameters_can_be_allowed(run_node, robot):
-    qos = {
-        'qos_overrides./joint_states.subscription.depth': 2,
-        'qos_overrides./joint_state.subscription.depth': 2,
-    }
+    qos = {'qos_overrides./joint_states.subscription.depth': 2}
     known = {**PATIENT, **qos, 'use_sim_time': False, 'start_type_description_service': True}
     node = run_node(**known, staet_timeout=1.0, allow_unknown_parameters=True)
     publish_shuffled_state(robot)
@@ -335,8 +332,6 @@ def test_unknown_parameters_can_be_allowed(run_node, robot):
         "ignored unknown parameter 'staet_timeout'; did you mean 'state_timeout'?" in node.output
     )
     assert node.output.count('unknown parameter') == 1
-    assert node.output.count('matches no publisher or subscription of this node') == 1
-    assert "did you mean 'qos_overrides./joint_states.subscription.depth'?" in node.output
     assert robot.get_parameter('allow_unknown_parameters') is True
 
 
