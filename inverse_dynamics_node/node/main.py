@@ -132,7 +132,7 @@ def _run(stop: _Stop) -> int:
     from .trajectory_filler import Worker
 
     scheduling = Scheduling()
-    worker = Worker(has_process=True)
+    worker = Worker()
     if worker.problem:
         _report(f'warning: {worker.problem}')
     try:

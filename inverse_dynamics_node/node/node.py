@@ -54,20 +54,18 @@ class InverseDynamicsNode(LifecycleNode):
     Publishers, subscriptions and services exist as long as the node exists. The control loop and
     its timers exist only while the node is configured.
 
-    `skip_ramp` returns True to end the stop ramp early. `worker` runs long tasks, by default in
-    a thread. Create `scheduling` before `worker`, as `Worker` explains. Other arguments are for
-    `LifecycleNode`.
+    `skip_ramp` returns True to end the stop ramp early. `worker` fills trajectories. Create
+    `scheduling` before `worker`, as `Worker` explains. Other arguments are for `LifecycleNode`.
     """
 
     def __init__(
         self,
-        skip_ramp: Callable[[], bool] = lambda: False,
-        scheduling: Scheduling | None = None,
-        worker: Worker | None = None,
+        skip_ramp: Callable[[], bool],
+        scheduling: Scheduling,
+        worker: Worker,
         **kwargs: Any,
     ) -> None:
-        self._worker = worker or Worker()
-        self._scheduling = scheduling or Scheduling()
+        self._worker, self._scheduling = worker, scheduling
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self, self._keep_up)
         configuration = declare_parameters(self)

@@ -5,13 +5,7 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import (
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-)
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 import contextlib
 import ctypes
 import multiprocessing
@@ -43,6 +37,10 @@ _MAX_WAITING = 10
 _PERIOD = 0.005  # [s]; between checks for results
 _FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
 _PR_SET_PDEATHSIG = 1  # prctl(2)
+_ENDED = (
+    'the process that fills trajectories has ended, for example for lack of memory; restart the '
+    'node to fill trajectories'
+)
 
 
 class Filled(NamedTuple):
@@ -83,38 +81,32 @@ class Worker:
     The child process is a copy of this process. Create the worker after the imports, so that the
     processes share the memory of the libraries. Create the worker before the node, so that the
     copy contains no ROS entities. Create `Scheduling` before the worker, so that the threads
-    that the worker starts in this process get the priority of the loop. If `has_process` is
-    false or the child process has ended, a thread calls the functions.
+    that the worker starts in this process get the priority of the loop.
     """
 
-    def __init__(self, has_process: bool = False) -> None:
+    def __init__(self) -> None:
         self.problem = ''
         """Why the child process could not be created, or an empty string."""
-        self._executor: Executor = ThreadPoolExecutor(1, 'worker')
-        if has_process:
-            try:
-                fork = multiprocessing.get_context('fork')
-                pool = ProcessPoolExecutor(1, fork, _prepare, (os.getpid(),))
-                pool.submit(int)  # creates the process
-                self._executor = pool
-            except OSError as error:  # a limit on processes or on memory
-                self.problem = (
-                    f'cannot create a process for long tasks ({error}): a thread runs the tasks '
-                    'instead, and delays commands'
-                )
+        try:
+            fork = multiprocessing.get_context('fork')
+            self._pool = ProcessPoolExecutor(1, fork, _prepare, (os.getpid(),))
+            self._pool.submit(int)  # creates the process
+        except OSError as error:  # a limit on processes or on memory
+            self.problem = f'cannot create the process that fills trajectories ({error})'
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """
         Schedule a call of a module-level function, and pickle the arguments now.
 
-        Callers must poll the future, because its callbacks run in another thread.
+        Callers must poll the future, because its callbacks run in another thread. Raise a
+        TrajectoryError if the process could not be created or has ended.
         """
-        request = pickle.dumps((function, arguments))
+        if self.problem:
+            raise TrajectoryError(self.problem)
         try:
-            return self._executor.submit(_call, request)
-        except BrokenExecutor:  # the process has ended, for example for lack of memory
-            self._executor = ThreadPoolExecutor(1, 'worker')
-            return self._executor.submit(_call, request)
+            return self._pool.submit(_call, pickle.dumps((function, arguments)))
+        except BrokenExecutor as error:
+            raise TrajectoryError(_ENDED) from error
 
 
 def _prepare(parent: int) -> None:
@@ -155,8 +147,9 @@ class TrajectoryFiller:
         Queue a serialized trajectory for the computation of its efforts.
 
         The worker gets a copy of the loop in its present state. Raise a TrajectoryError if nobody
-        subscribes to the results, or if too many trajectories are waiting. Also raise the error
-        if the node is active and the message is so large that it would delay commands.
+        subscribes to the results, if too many trajectories are waiting, or if the worker has no
+        process. Also raise the error if the node is active and the message is so large that it
+        would delay commands.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
@@ -181,6 +174,9 @@ class TrajectoryFiller:
     def _finish(self, future: Future[Filled]) -> None:
         try:
             filled = future.result()
+        except BrokenExecutor:
+            self._runner.reject('~/joint_trajectory_in', _ENDED)
+            return
         except Exception as error:  # any error in the other process
             self._runner.reject('~/joint_trajectory_in', error)
             return

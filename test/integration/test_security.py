@@ -8,6 +8,8 @@ from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.node import InverseDynamicsNode
+from inverse_dynamics_node.node.scheduling import Scheduling
+from inverse_dynamics_node.node.trajectory_filler import Worker
 from inverse_dynamics_node.ros.middleware import check_security
 from inverse_dynamics_node.simulation.robot import RobotNode
 from node_process import PATIENCE
@@ -64,7 +66,12 @@ def permissions(enclave, node):
 
 
 def test_the_policy_covers_exactly_the_names_of_the_node(start):
-    node = start(InverseDynamicsNode)
+    scheduling, worker = Scheduling(), Worker()  # before ROS, as in the program
+
+    def own_node(context):
+        return InverseDynamicsNode(lambda: False, scheduling, worker, context=context)
+
+    node = start(own_node)
     for permitted, used in permissions(node.get_fully_qualified_name(), node):
         assert sorted(permitted) == sorted(used)
 

@@ -75,11 +75,13 @@ def test_commands_continue_during_long_work(run_node, robot):
 
     robot.cease(sent)
 
-    os.kill(worker, signal.SIGKILL)  # as the kernel does without memory; a thread replaces it
+    os.kill(worker, signal.SIGKILL)  # as the kernel does without memory
     robot.keep_publishing('inverse_dynamics/joint_trajectory_in', trajectory(3))
-    message = robot.wait_for(filled, lambda message: len(message.points) == 3, 'trajectory')
-    np.testing.assert_allclose(message.points[2].effort, HOLD, rtol=1e-9)
+    robot.wait_for_text(node, 'dropped: the process that fills trajectories has ended')
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 100, 'commands')
     robot.wait_for_command(HOLD)
+    assert all(len(message.points) == 2 for message in filled)
     node.interrupt()
     assert robot.wait_for_end(node) == 0
 
@@ -104,15 +106,23 @@ sys.exit(main())
 """
 
 
-def test_a_node_that_may_not_fork_uses_a_thread(run_node, robot):
+def test_a_node_that_may_not_fork_drops_trajectories_and_keeps_commanding(run_node, robot):
     node = run_node(**PATIENT, program=('-c', WITHOUT_FORK))
     filled = robot.listen(JointTrajectory, OUT)
     robot.publish_state(NAMES, Q, np.zeros(6))
     robot.wait_for_command(HOLD)
-    text = 'cannot create a process for long tasks ([Errno 11] Resource temporarily unavailable)'
-    assert text in node.output
+    reason = (
+        'cannot create the process that fills trajectories '
+        '([Errno 11] Resource temporarily unavailable)'
+    )
+    assert f'warning: {reason}' in node.output
+    robot.wait_until(lambda: robot.node.count_publishers(OUT), 'trajectories')
     robot.keep_publishing('inverse_dynamics/joint_trajectory_in', trajectory(2))
-    robot.wait_for(filled, lambda _: True, 'trajectory')
+    robot.wait_for_text(node, f'dropped: {reason}')
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 100, 'commands')
+    robot.wait_for_command(HOLD)
+    assert not filled
     node.interrupt()
     assert robot.wait_for_end(node) == 0
 
