@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 import time
 
-from inverse_dynamics_node.errors import UrdfError
+from inverse_dynamics_node.errors import escaped, UrdfError
 from inverse_dynamics_node.robot.urdf import load_urdf
 from inverse_dynamics_node.robot.urdf import xml as urdf_xml
 import numpy as np
@@ -167,13 +167,11 @@ def test_empty_file_is_rejected(tmp_path, data):
         (edited(('name="good"', 'name="a &foo; b"')), "not well-formed XML: Entity 'foo'"),
         (edited(('name="good"', 'name="a\0b"')), 'not well-formed XML: '),
         (GOOD.replace('good', 'g\xe4').encode('latin-1'), 'encoding'),
-        (edited(('?>', ' encoding="nope"?>')), 'not well-formed XML: Unsupported encoding'),
-        (edited(('"1.0"?>', '"0.0" encoding="nope"?>')), "unknown encoding 'nope'"),
+        (edited(('?>', ' encoding="nope"?>')), "unknown encoding 'nope'"),
         ('{"a": 1}', 'not well-formed XML: Start tag expected'),
         ('base: 3\n', 'not well-formed XML: Start tag expected'),
         (b'\x89PNG\r\n\x1a\n\0\0', 'not well-formed XML: Start tag expected'),
         ('version https://git-lfs.github.com/spec/v1\noid sha256:0', 'Start tag expected'),
-        ('version https://git-lfs.github.com/spec/v1\noid sha256:0', 'run git lfs pull'),
         ('<robot name="r">' + '<a>' * 300 + '</a>' * 300 + '</robot>', 'Excessive depth'),
     ],
 )
@@ -265,7 +263,7 @@ ELEMENT_PROBLEMS = [
     ),
     ('<child link="l1"/>', '<child link="no"/>', "joint 'j1': child link 'no' does not exist"),
     ('<parent link="l1"/>', '', 'joint \'j2\': <parent link="..."/> is missing'),
-    ('<child link="l1"/>', '<child/>', 'joint \'j1\': <child link="..."/> is missing'),
+    ('<child link="l1"/>', '<child/>', "joint 'j1': <child> lacks link"),
     ('<parent link="l1"/>', '<parent link="l2"/>', "parent and child are the same link 'l2'"),
     # the tree
     (
@@ -293,8 +291,8 @@ ELEMENT_PROBLEMS = [
     ('"prismatic"', '"floating"', "joint type 'floating' is not supported; remove this joint"),
     # mass and inertia
     (L1_MASS, '', 'line 5: link \'l1\' inertial: <mass value="..."/> is missing'),
-    (L1_MASS, '<mass/>', 'link \'l1\' inertial: <mass value="..."/> is missing'),
-    (L1_MASS, '<mass>2</mass>', 'link \'l1\' inertial: <mass value="..."/> is missing'),
+    (L1_MASS, '<mass/>', "link 'l1' inertial: <mass> lacks value"),
+    (L1_MASS, '<mass>2</mass>', "link 'l1' inertial: <mass> lacks value"),
     (L1_MASS, '<mass value="-2"/>', "link 'l1' inertial: mass -2 is negative"),
     (L1_INERTIA, '', "link 'l1' inertial: <inertia> is missing"),
     (L1_INERTIA, '<inertia/>', '<inertia> lacks ixx, ixy, ixz, iyy, iyz, izz'),
@@ -304,10 +302,6 @@ ELEMENT_PROBLEMS = [
         "line 8: link 'l1' inertial: <inertia> lacks ixx",
     ),
     # versions
-    (NAME, NAME + ' version="2.0"', "line 2: URDF version '2.0' is not supported; expected"),
-    (NAME, NAME + ' version="1"', "URDF version '1' is not supported; expected one of 1.0"),
-    (NAME, NAME + ' version="1.1.0"', "URDF version '1.1.0' is not supported"),
-    (NAME, NAME + ' version=""', "URDF version '' is not supported"),
     (
         J2_ORIGIN,
         '<origin quat_xyzw="0 0 0 1"/>',
@@ -316,8 +310,8 @@ ELEMENT_PROBLEMS = [
     # axis
     (J2_AXIS, '<axis xyz="0 0 0"/>', "joint 'j2': the length of axis '0 0 0' is almost zero"),
     (J2_AXIS, '<axis xyz="0 1e-9 0"/>', "joint 'j2': the length of axis '0 1e-9 0' is almost"),
-    (J2_AXIS, '<axis/>', "joint 'j2': <axis> lacks 'xyz'"),
-    (J2_AXIS, '<axis rpy="0 0 1"/>', "joint 'j2': <axis> lacks 'xyz'"),
+    (J2_AXIS, '<axis/>', "joint 'j2': <axis> lacks xyz"),
+    (J2_AXIS, '<axis rpy="0 0 1"/>', "joint 'j2': <axis> lacks xyz"),
     # limits
     (J2_LIMIT, '', "line 24: joint 'j2': <limit> is required for prismatic joints"),
     (J1_LIMIT, '', '<limit> is required for revolute joints'),
@@ -342,11 +336,6 @@ ELEMENT_PROBLEMS = [
     (J2_AXIS, J2_AXIS + '<mimic joint="jf"/>', "joint 'j2' mimics 'jf', which is fixed"),
     (J2_AXIS, J2_AXIS + '<mimic/>', "joint 'j2': <mimic> lacks joint"),
     # the rest
-    (
-        J2_AXIS,
-        J2_AXIS + '<safety_controller k_position="1"/>',
-        "joint 'j2': <safety_controller> lacks k_velocity",
-    ),
     (L2_INERTIAL, L2_INERTIAL * 2, "line 15: link 'l2': 2 <inertial> elements, expected at most"),
     (L1_MASS, L1_MASS * 3, "link 'l1' inertial: 3 <mass> elements, expected at most one"),
     (J2_AXIS, J2_AXIS * 2, "joint 'j2': 2 <axis> elements, expected at most one"),
@@ -412,7 +401,7 @@ def test_numbers_must_be_finite_decimals():
             text = f'{MIMICKING[: place.start(2)]}{bad}{MIMICKING[place.end(2) :]}'
             (problem,) = problems_of(text)
             assert problem.startswith(f'line {line}: ')
-            assert problem.endswith(f" {name}: '{bad}' is not a finite decimal number")
+            assert problem.endswith(f" {name}: '{escaped(bad)}' is not a finite decimal number")
 
 
 def test_vectors_have_three_finite_decimals():
@@ -467,12 +456,6 @@ def test_long_lists_and_long_values_are_shortened():
     assert max(map(len, problems)) < 300
 
 
-def test_line_numbers_above_the_limit_of_libxml2_are_omitted():
-    text = edited((L1_MASS, '<mass value="-1"/>')).replace('<link name="l1">', '\n' * 70000, 1)
-    text = text.replace('<inertial>', '<link name="l1"><inertial>', 1)
-    assert problems_of(text) == ("link 'l1' inertial: mass -1 is negative",)
-
-
 # ---- Descriptions that must load -----------------------------------------------------------
 
 SHAPE = '<visual>{}</visual><collision>{}</collision>'
@@ -502,6 +485,9 @@ STILL_LOADS = {
     'transmission': (L3, f'<transmission>{2 * """<joint name="j1"/>"""}</transmission>{L3}'),
     'limit attributes of makers': ('effort="20"', 'effort="20" jerk="a lot"'),
     'axis of a fixed joint': ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 0"/>'),
+    'safety controller': (J2_AXIS, J2_AXIS + '<safety_controller k_position="x"/>'),
+    'undeclared prefixes': (J2_AXIS, '<axis xyz="0 0 1" my:unit="m"/><drake:rotor value="1"/>'),
+    'axis of another length': (J2_AXIS, '<axis xyz="0 0 5"/>'),
     'limit of a fixed joint': ('<child link="l3"/>', '<child link="l3"/><limit lower="x"/>'),
 }
 
@@ -571,20 +557,8 @@ def test_chain_of_999_mimic_joints_loads_quickly():
 
 # ---- Warnings ------------------------------------------------------------------------------
 
-DECLARATION = '<?xml version="1.0"?>'
 NO_INERTIA = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
 WARNINGS = [
-    (DECLARATION, '<?xml version="0.0" ?>', 'line 1: invalid XML declaration'),
-    (DECLARATION, '<?xml?>', 'invalid XML declaration <?xml?> is ignored'),
-    (DECLARATION, '\n' + DECLARATION, 'invalid XML declaration'),
-    (DECLARATION, '<?xml encoding="utf-8"?>', 'invalid XML declaration'),
-    (
-        J2_AXIS,
-        f'{J2_AXIS}<drake:rotor value="1"/>',
-        'line 28: Namespace prefix drake on rotor is not defined; '
-        'the element or attribute is ignored',
-    ),
-    (J2_AXIS, '<axis xyz="0 0 1" my:unit="m"/>', 'Namespace prefix my for unit on axis'),
     (
         L3,
         link('l3', '<Inertial/>'),
@@ -600,13 +574,13 @@ WARNINGS = [
     (
         'izz="0.01"',
         'izz="0.05"',
-        "line 5: link 'l1' inertial: impossible inertia: one of its principal "
-        'moments (0.02, 0.02, 0.05 kg m^2) exceeds',
+        "line 5: link 'l1' inertial: no body has the principal moments of inertia 0.02, 0.02, "
+        '0.05 kg m^2',
     ),
     (
         L1_INERTIA,
         L1_INERTIA.replace('ixy="0"', 'ixy="0.03"'),
-        "link 'l1' inertial: a principal moment of inertia is negative (-0.01, 0.01, 0.05 kg m^2)",
+        'no body has the principal moments of inertia -0.01, 0.01, 0.05 kg m^2',
     ),
     (
         L1_MASS,
@@ -626,9 +600,7 @@ WARNINGS = [
     ('rpy="0 0 0.5"', 'rpy="0 0 90"', "joint 'j2' origin rpy: '0 0 90' contains an angle"),
     ('rpy="0 0 0"', 'rpy="-90 0 0"', "link 'l1' inertial origin rpy: '-90 0 0' contains an"),
     (J2_AXIS, '', "line 24: joint 'j2': <axis> is missing; 1 0 0 is used"),
-    (J2_AXIS, '<axis xyz="0 3 4"/>', "line 28: joint 'j2': axis '0 3 4' has length 5"),
     ('lower="-1" upper="1"', 'lower="-90" upper="90"', 'angles are in radians'),
-    ('lower="0" upper="0.5"', 'lower="0.5" upper="0.5"', 'limits are both 0.5: the joint'),
     ('lower="0" upper="0.5" ', '', "joint 'j2': <limit> has no lower and no upper; 0 is used"),
     ('lower="0" upper="0.5"', 'upper="0.5"', "joint 'j2': <limit> has no lower; 0 is used"),
     (
@@ -693,6 +665,16 @@ def test_warnings_are_in_file_order():
     assert [warning.line for warning in load_urdf(text).warnings] == [5, 22, 24]
 
 
+@pytest.mark.parametrize(
+    'declaration',
+    ['<?xml version="0.0" ?>', '<?xml?>', '\n<?xml version="1.0"?>', '<?xml encoding="utf-8"?>'],
+)
+def test_invalid_declarations_are_ignored(declaration):
+    robot = load_urdf(edited(('<?xml version="1.0"?>', declaration)))
+    assert robot.joint_names == ('j1', 'j2')
+    assert robot.warnings == ()
+
+
 def test_invalid_declaration_keeps_line_numbers():
     text = edited(('<?xml version="1.0"?>', '\n\n<?xml?>'), (L1_MASS, '<mass value="-1"/>'))
     assert problems_of(text) == ("line 9: link 'l1' inertial: mass -1 is negative",)
@@ -712,7 +694,7 @@ def test_undeclared_prefix_beside_another_error_is_an_error():
 
 
 @pytest.mark.parametrize('version', ['1.0', '1.1', '1.2'])
-def test_supported_versions_load_without_a_warning(version):
+def test_versions_load_without_a_warning(version):
     assert load_urdf(edited((NAME, f'{NAME} version="{version}"'))).warnings == ()
 
 
@@ -755,7 +737,7 @@ def test_axis_too_large_for_its_square_is_normalised():
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
 def test_robots_of_the_tests_load_with_their_intended_warnings(path):
-    words = {'fixed_chain': 'the mass is zero', 'skew_axes': 'normalised'}.get(path.stem)
+    words = {'fixed_chain': 'the mass is zero'}.get(path.stem)
     robot = load_urdf(path)
     assert bool(robot.warnings) == (words is not None)
     assert all(words in warning.text for warning in robot.warnings)

@@ -19,8 +19,6 @@ from .schema import (
     MOMENTS,
     Problems,
     quoted,
-    version_of,
-    VERSIONS,
     warn_if_misspelt,
 )
 from .xml import children, Element, is_xacro, MAX_LINKS, tag
@@ -33,7 +31,6 @@ def check(root: Element) -> Problems:
     if problems.errors:
         return problems
     _check_name(root, problems)
-    _check_version(root, problems)
     links = _by_name(root, 'link')
     joints = _by_name(root, 'joint')
     for element in root:
@@ -82,13 +79,6 @@ def _check_name(
         problems.error(element, f'{kind} name {quoted(name)} looks like unprocessed xacro')
     elif by_name is not None and by_name[name] is not element:
         problems.error(element, f"duplicate {kind} name '{name}'")
-
-
-def _check_version(root: Element, problems: Problems) -> None:
-    version = version_of(root)
-    if version not in VERSIONS:
-        expected = f'expected one of {", ".join(VERSIONS)}'
-        problems.error(root, f'URDF version {quoted(version)} is not supported; {expected}')
 
 
 def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> None:

@@ -55,19 +55,19 @@ def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
     Notes
     -----
     As in urdfdom, the parser of ROS, lower and upper limits default to 0, and the axis defaults to
-    x. An effort or velocity limit of 0 means unknown, and becomes infinite. Versions 1.0 to 1.2 of
-    the format are supported. The attribute ``quat_xyzw`` needs version 1.1 or later.
+    x. An effort or velocity limit of 0 means unknown, and becomes infinite. The attribute
+    ``quat_xyzw`` needs version 1.1 or later of the format.
 
     """
     source = read_source(path_or_xml)
-    root, warnings = parse(source)
+    root = parse(source)
     problems = check(root)
     if problems.errors:
         raise UrdfError(problems.errors, source.name)
     links, joints = _values(_stripped(root))
     # Large numbers may overflow to infinite values, which `_overflows` reports.
     with np.errstate(all='ignore'):
-        robot = build_model(root.get('name'), links, joints, [*warnings, *problems.warnings])
+        robot = build_model(root.get('name'), links, joints, problems.warnings)
     overflows = _overflows(robot)
     if overflows:
         raise UrdfError(overflows, source.name)

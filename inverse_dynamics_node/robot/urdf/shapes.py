@@ -36,7 +36,7 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
     folder = None if source.name == 'URDF' else Path(path_or_xml).resolve().parent
     shapes: list[Shape] = []
     unreadable: dict[str, str] = {}
-    for link in children(parse(source)[0], 'link'):
+    for link in children(parse(source), 'link'):
         name = link.get('name')
         for collision in children(link, 'collision'):
             try:

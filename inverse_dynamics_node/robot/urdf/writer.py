@@ -19,7 +19,7 @@ from ..kinematics import rotation_of_origin
 from ..model import Floats
 from ..rigid_body import RigidBody
 from .schema import MOMENTS
-from .xml import blank_declaration, declared_encoding, read_source
+from .xml import blank_declaration, read_source
 
 _ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of `MOMENTS`
 _INDENT = b'  '
@@ -66,8 +66,7 @@ def rewrite(
 
     """
     source = read_source(path_or_xml)
-    encoding = source.encoding or declared_encoding(source.data)
-    text = source.data.decode(encoding).encode()
+    text = source.data.decode(source.encoding).encode()
     edits: list[tuple[int, int, bytes]] = []
     for node in _parse(blank_declaration(text)).children:
         name = node.attributes.get('name', '')
@@ -77,7 +76,7 @@ def rewrite(
             edits += _friction_edits(text, node, friction[name])
     for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
-    return text.decode().encode(encoding)
+    return text.decode().encode(source.encoding)
 
 
 def _parse(text: bytes) -> _Node:

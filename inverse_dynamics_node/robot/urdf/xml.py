@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from lxml import etree
 
-from ...errors import UrdfError
-from ..model import ModelWarning
+from ...errors import shortened, UrdfError
 
 Element = Any
 """An lxml element; lxml has no type annotations."""
@@ -26,7 +25,6 @@ _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'htm
 
 _BOM = '\ufeff'
 _DECLARATION = re.compile(rb'(?:\xef\xbb\xbf)?\s*<\?xml(?:\s[^>]*)?\?>')
-_SOUND_DECLARATION = re.compile(rb'(?:\xef\xbb\xbf)?<\?xml\s+version\s*=\s*["\']1\.\d')
 _ENCODING = re.compile(rb'encoding\s*=\s*["\']([^"\']*)')
 _FIRST_START_TAG = re.compile(rb'<[A-Za-z_]')
 
@@ -36,8 +34,7 @@ class Source(NamedTuple):
 
     name: str
     data: bytes
-    encoding: str | None
-    """Encoding, or None to use `declared_encoding`."""
+    encoding: str
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
@@ -50,7 +47,8 @@ def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
         raise UrdfError(['the robot description is empty: expected a path or XML text'])
     else:
         data, size = _read_file(path_or_xml)
-        source, kind = Source(shortened(os.fspath(path_or_xml), 250), data, None), 'file'
+        name = shortened(os.fspath(path_or_xml), 250)
+        source, kind = Source(name, data, _declared_encoding(data)), 'file'
 
     if len(source.data) > MAX_BYTES:
         found, limit = math.ceil(size / 2**20), MAX_BYTES // 2**20
@@ -82,27 +80,22 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
     return data, max(status.st_size, len(data))
 
 
-def shortened(text: str, length: int = 80) -> str:
-    """Truncate a text that has more than `length` characters."""
-    return text if len(text) <= length else f'{text[:length]}...'
-
-
-def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
-    """Parse XML; return the <robot> element and warnings, or raise a UrdfError."""
-    source, warnings = _without_odd_declaration(source)
+def parse(source: Source) -> Element:
+    """Parse XML; return the <robot> element, or raise a UrdfError."""
+    # libxml2 rejects declarations such as version="0.0", which other URDF tools accept.
+    data = blank_declaration(source.data)
     try:
         parser = _hardened_parser(source.encoding)
-        root = etree.fromstring(source.data, parser)
+        root = etree.fromstring(data, parser)
     except LookupError:
         problem = f"not well-formed XML: unknown encoding '{source.encoding}', line 1"
         raise UrdfError([problem], source.name) from None
     except etree.XMLSyntaxError as error:
-        prefixes = _undeclared_prefixes(parser.error_log)
-        if not prefixes:
+        errors = (e for e in parser.error_log if e.level >= etree.ErrorLevels.ERROR)
+        if any(each.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for each in errors):
             raise UrdfError(_syntax_problems(source, error), source.name) from error
         # All URDF tools of ROS accept undeclared prefixes, so these elements are not essential.
-        root = etree.fromstring(source.data, _hardened_parser(source.encoding, recover=True))
-        warnings += prefixes
+        root = etree.fromstring(data, _hardened_parser(source.encoding, recover=True))
 
     if root.getroottree().docinfo.internalDTD is not None:
         raise UrdfError([_NO_DOCTYPE], source.name)
@@ -110,7 +103,7 @@ def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
         known = _FOREIGN_ROOTS.get(tag(root).lower())
         hint = f' (this is {known})' if known else ''
         raise UrdfError([f'root element is <{tag(root)}>, expected <robot>{hint}'], source.name)
-    return root, warnings
+    return root
 
 
 def tag(element: Element) -> str:
@@ -130,7 +123,7 @@ def is_xacro(text: str) -> bool:
     return '${' in text or '$(' in text
 
 
-def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
+def _hardened_parser(encoding: str, recover: bool = False) -> Any:
     return etree.XMLParser(
         encoding=encoding,
         recover=recover,
@@ -145,7 +138,7 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
     )
 
 
-def declared_encoding(data: bytes) -> str:
+def _declared_encoding(data: bytes) -> str:
     """Return the encoding that the byte order mark or the declaration states, or UTF-8."""
     if data.startswith((b'\xff\xfe', b'\xfe\xff')):
         return 'utf-16'
@@ -162,33 +155,6 @@ def blank_declaration(data: bytes) -> bytes:
     return re.sub(rb'[^\r\n]', b' ', found[0]) + data[found.end() :]
 
 
-def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Blank an XML declaration that only libxml2 rejects; return the source and any warning."""
-    found = _DECLARATION.match(source.data)
-    if not found or _SOUND_DECLARATION.match(source.data):
-        return source, []
-    written = found[0].removeprefix(b'\xef\xbb\xbf').strip().decode('ascii', 'replace')
-    data, encoding = blank_declaration(source.data), declared_encoding(source.data)
-    text = f'invalid XML declaration {shortened(written)} is ignored'
-    warning = ModelWarning(text, "harmless; write <?xml version='1.0'?>", line=1)
-    return source._replace(data=data, encoding=source.encoding or encoding), [warning]
-
-
-def _undeclared_prefixes(log: Any) -> list[ModelWarning]:
-    """Return warnings about undeclared namespace prefixes, or [] if there are other errors."""
-    errors = [entry for entry in log if entry.level >= etree.ErrorLevels.ERROR]
-    if any(entry.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for entry in errors):
-        return []
-    first_lines: dict[str, int] = {}
-    for entry in errors:
-        first_lines.setdefault(entry.message, entry.line)
-    hint = 'harmless; declare the namespace, or remove the element or attribute'
-    return [
-        ModelWarning(f'{message}; the element or attribute is ignored', hint, line=line)
-        for message, line in first_lines.items()
-    ]
-
-
 _NO_DOCTYPE = 'DOCTYPE/DTD is not allowed in a URDF'
 
 
@@ -198,6 +164,4 @@ def _syntax_problems(source: Source, error: Any) -> list[str]:
     head = source.data[: start_tag.start()] if start_tag else source.data
     if b'<!doctype' in head.lower():
         problems.insert(0, _NO_DOCTYPE)
-    if source.data.startswith(b'version https://git-lfs'):
-        problems[0] += ' (this is a git-lfs pointer: run git lfs pull)'
     return problems
