@@ -101,7 +101,7 @@ def _load_xacro(path: Path, arguments: dict[str, str]) -> tuple[RobotModel, str]
 
 def _text_of(path: Path) -> str:
     """Read a URDF file, and return its text without the comments."""
-    root, _ = parse(read_source(path))
+    root = parse(read_source(path))
     etree.strip_tags(root, etree.Comment)
     return str(etree.tostring(root, encoding='unicode'))
 
