@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-import os
 from pathlib import Path
 
 from ..report.tables import table
 from ..ros.middleware import stay_on_this_machine
-from ..simulation.demo import Check, DemoRun, HARMLESS, judge, longest_gap, run_demo, unused_domain
+from ..simulation.demo import Check, DemoRun, HARMLESS, judge, longest_gap, run_demo
 from .arguments import add_force, add_picture, new_parser
 from .console import check_outputs, collected_signals, say, show
 from .pictures import demo as picture
@@ -18,8 +17,7 @@ from .pictures.style import write_picture
 EPILOG = """\
 The arm follows a reference and holds its pose. Then the simulated arm gets a load, which the node
 does not know. At last, the load is published on the topic ~/payload of the node. The demo takes
-about 20 s. It uses a ROS domain that no other process on this machine uses; ROS_DOMAIN_ID is
-ignored.
+about 20 s. Its topics are in a namespace of their own.
 
 examples:
   inverse_dynamics demo my_arm.urdf
@@ -46,22 +44,12 @@ def run(options: argparse.Namespace) -> int:
     stay_on_this_machine()
     with collected_signals() as stops:
         try:
-            with unused_domain() as domain:
-                os.environ['ROS_DOMAIN_ID'] = str(domain)
-                print(_hint(), flush=True)
-                result = run_demo(
-                    str(options.urdf.resolve()), lambda: bool(stops), partial(print, flush=True)
-                )
+            urdf = str(options.urdf.resolve())
+            result = run_demo(urdf, lambda: bool(stops), partial(print, flush=True))
             return _report(result, options.picture)
         except KeyboardInterrupt:
             print('stopped')
             return 128 + stops[0]
-
-
-def _hint() -> str:
-    names = 'ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE'
-    settings = ' '.join(f'{name}={os.environ[name]}' for name in names)
-    return f'to see the topics of the demo, run in another terminal: export {settings}'
 
 
 def _report(result: DemoRun, path: Path | None) -> int:

@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-import ctypes
+from functools import partial
 import gc
 import math
-import random
+import os
 import signal
-import socket
 import subprocess
 import sys
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Inertia, InertiaStamped, Vector3
 import numpy as np
@@ -29,14 +28,14 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Bool, Float64MultiArray, Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.kinematics import last_link, path_to
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
-from ..ros.middleware import BEST_EFFORT, start_ros
+from ..ros.middleware import BEST_EFFORT, LATCHED, start_ros
 from .mujoco import require_inertia, SimulationError
 from .trajectory import Oscillation, plan, start_pose
 
@@ -55,11 +54,8 @@ RATE_LIMIT = 0.98  # smallest number of commands per joint state
 HARMLESS = 0.03  # [s]: longest gap between commands that does not affect the verdict
 HEAVIEST, LIGHTEST = 0.25, 0.05  # bounds of the load, relative to the mass of the robot
 DEFLECTION = (0.1, 0.03)  # [rad], [m]: largest deflections by the load that the node does not know
-NUDGE = 0.003  # [rad or m]: distance of the held robot from the reference
 BOX, GRIP = 0.1, (0.0, 0.0, 0.05)  # [m]: side and centre of the load, a cube
-START_TIMEOUT, SILENCE_TIMEOUT, STOP_TIMEOUT = 60.0, 5.0, 5.0  # [s]
-LOCK_PORT = 32768  # domain_coordinator reserves a domain by binding to the port LOCK_PORT + domain
-PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2)
+TIMEOUT, STOP_TIMEOUT = 60.0, 5.0  # [s]: to start the processes or end a phase, and to stop
 
 LENGTHS, EFFORTS = ('mrad', 'mm'), ('N m', 'N')  # units of revolute and prismatic joints
 Units = tuple[str, str]
@@ -160,15 +156,6 @@ def choose_load(robot: RobotModel, start: Floats) -> Load:
     return best
 
 
-def nudge(robot: RobotModel) -> Floats:
-    """
-    Return the distances from the pose of the held robot to the reference, shape (n,) [rad or m].
-
-    When the robot has moved to the reference, it follows the commands of the node.
-    """
-    return np.minimum(NUDGE, 0.01 * (robot.upper - robot.lower))
-
-
 def _links_towards_base(robot: RobotModel) -> list[str]:
     """Return one link per joint, from the hand towards the base."""
     link = last_link(robot)
@@ -186,16 +173,14 @@ def running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
     Run child processes within a context; on exit, end the processes.
 
     ``commands`` maps the name of each process to the arguments of ``python -m`` that start the
-    process. The kernel ends the processes if this process is killed.
+    process.
     """
     processes: Processes = {}
     try:
         for name, command in commands.items():
             # Each child has its own session, so that Ctrl-C reaches only the parent.
             processes[name] = subprocess.Popen(
-                [sys.executable, '-m', *command],
-                start_new_session=True,
-                preexec_fn=_end_with_parent if sys.platform == 'linux' else None,
+                [sys.executable, '-m', *command], start_new_session=True
             )
         yield processes
     finally:
@@ -211,36 +196,6 @@ def running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
                 process.wait()
 
 
-def _end_with_parent() -> None:
-    """Let the kernel end this process when the parent ends, even if the parent is killed."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-@contextmanager
-def unused_domain() -> Iterator[int]:
-    """
-    Reserve a ROS domain from 1 to 100 that no other process on this machine uses.
-
-    Within the context, other demos avoid this domain, and so do tests with domain_coordinator.
-    The messages of the demo must not reach the nodes of a real robot.
-    """
-    for domain in random.sample(range(1, 101), 100):
-        participant = 7400 + 250 * domain + 10  # unicast discovery port by DDSI-RTPS 9.6.1
-        with (
-            socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation,
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe,
-        ):
-            try:
-                reservation.bind(('', LOCK_PORT + domain))
-                probe.bind(('127.0.0.1', participant))
-            except OSError:
-                continue
-            probe.close()
-            yield domain
-            return
-    raise SimulationError('all ROS domains from 1 to 100 are in use')
-
-
 # The run
 
 
@@ -248,79 +203,89 @@ class Commander(Node):
     """
     Sends the node a reference for every joint state, and records the motion.
 
-    The reference rests until `begin` is called.
+    The reference rests until ``begins`` is True.
     """
 
-    def __init__(self, robot: RobotModel, motion: Oscillation, load: Load) -> None:
-        super().__init__('commander')
+    def __init__(self, robot: RobotModel, motion: Oscillation, load: Load, namespace: str) -> None:
+        super().__init__('commander', namespace=namespace)
+        self.begins = False
+        """Whether the motion starts at the next joint state, or has started."""
         self.time = -math.inf
         """Time since the start of the motion [s]."""
-        self.last_state = math.inf
-        """Time of the latest joint state on the steady clock [s]."""
-        self.pause = 0.0
-        """Longest time between two joint states since the start of the motion [s]."""
-        self.is_followed = False
-        """Whether the robot has left the pose in which it was held, and reached the reference."""
         self._robot, self._motion, self._load = robot, motion, load
         self._began: int | None = None
-        self._begins = False
+        self._is_held = True
         self._states: list[tuple[float, Floats, Floats]] = []
+        self._arrivals: list[float] = []  # of the joint states, on the steady clock
         self._commands: list[tuple[float, Floats]] = []
         self._reference = self.create_publisher(JointTrajectory, 'inverse_dynamics/reference', 10)
-        self._point = JointTrajectoryPoint()
-        self._message = JointTrajectory(joint_names=robot.joint_names, points=[self._point])
         self._payloads = [
             (due, self.create_publisher(InertiaStamped, f'{node}/payload', 10))
             for due, node in ((LOADED, 'simulated_robot'), (TOLD, 'inverse_dynamics'))
         ]
+        self.create_subscription(Bool, 'brakes', self._on_brakes, LATCHED)
         self.create_subscription(JointState, 'joint_states', self._on_state, BEST_EFFORT)
         # The queue is deep, because the commands are counted.
         self.create_subscription(
             Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 1000
         )
 
-    def begin(self) -> None:
-        """Start the motion at the next joint state."""
-        self._begins = True
-
-    def is_connected(self) -> bool:
-        """Return whether the simulated robot and the node receive loads and references."""
+    def is_ready(self) -> bool:
+        """Return whether the robot follows the commands, and both processes receive loads."""
         publishers = [self._reference, *(publisher for _, publisher in self._payloads)]
-        return all(publisher.get_subscription_count() for publisher in publishers)
+        return not self._is_held and all(map(_is_heard, publishers))
+
+    def has_reached(self, time: float) -> bool:
+        """Return whether a joint state of this time or later has arrived [s]."""
+        return self.time >= time
 
     def recorded(self) -> DemoRun:
         """Return what was recorded since the start of the motion."""
         times, positions, desired = map(np.array, zip(*self._states, strict=True))
         command_times, commands = map(np.array, zip(*self._commands, strict=True))
         recorded = times, positions, desired, command_times, commands
-        return DemoRun(self._robot, self._load, *recorded, self.pause)
+        pause = float(np.max(np.diff(self._arrivals)))
+        return DemoRun(self._robot, self._load, *recorded, pause)
+
+    def _on_brakes(self, message: Bool) -> None:
+        self._is_held = message.data
 
     def _on_state(self, message: JointState) -> None:
-        steady = time.monotonic()
-        if self._begins:
-            self.pause = max(self.pause, steady - self.last_state)
-        self.last_state = steady
-        order = [message.name.index(name) for name in self._robot.joint_names]
-        q = np.array(message.position)[order]
         stamp = message.header.stamp
-        if self._begins:
+        if self.begins:
             now = Time.from_msg(stamp).nanoseconds
             self._began = now if self._began is None else self._began
             self.time = 1e-9 * (now - self._began)
         while self._payloads and self.time >= self._payloads[0][0]:
             self._payloads.pop(0)[1].publish(self._load.message(stamp))
         sample = self._motion.sample(max(self.time, 0.0))
-        point = self._point
-        point.positions, point.velocities, point.accelerations = (x.tolist() for x in sample)
-        self._message.header.stamp = stamp
-        self._reference.publish(self._message)
-        self.is_followed |= bool((abs(q - sample[0]) <= 0.3 * nudge(self._robot)).all())
-        if self._begins:
-            self._states.append((self.time, q, sample[0]))
+        q, qd, qdd = (x.tolist() for x in sample)
+        point = JointTrajectoryPoint(positions=q, velocities=qd, accelerations=qdd)
+        names = self._robot.joint_names
+        header = Header(stamp=stamp)
+        self._reference.publish(JointTrajectory(header=header, joint_names=names, points=[point]))
+        if self.begins:
+            order = [message.name.index(name) for name in names]
+            self._arrivals.append(time.monotonic())
+            self._states.append((self.time, np.array(message.position)[order], sample[0]))
 
     def _on_command(self, message: Float64MultiArray) -> None:
         if self._began is not None:
             self._commands.append((self.time, np.array(message.data)))
+
+
+def _is_heard(publisher: Any) -> bool:
+    return bool(publisher.get_subscription_count())
+
+
+def phases(load: Load) -> dict[float, str]:
+    """Return what happens from which time on [s]."""
+    return {
+        0.0: 'the arm follows a reference',
+        HOLDS: 'the arm holds its pose',
+        LOADED: f'the arm gets {load.mass:g} kg, unknown to the node',
+        TOLD: 'the payload is published',
+    }
 
 
 def run_demo(urdf: str, stopped: Callable[[], bool], say: Callable[[str], None]) -> DemoRun:
@@ -336,14 +301,40 @@ def run_demo(urdf: str, stopped: Callable[[], bool], say: Callable[[str], None])
     dynamics = InverseDynamics(robot)
     start = start_pose(robot, dynamics)
     load = choose_load(robot, start)
-    motion = plan(robot, dynamics, start + nudge(robot), HOLDS)
-    with running(_commands(urdf)) as processes:
+    motion = plan(robot, dynamics, start, HOLDS)
+    # In a namespace of its own, the demo reaches neither another demo nor a real robot.
+    namespace = f'/demo_{os.getpid()}'
+    with running(_commands(urdf, namespace)) as processes:
         start_ros([])
-        commander = Commander(robot, motion, load)
+        commander = Commander(robot, motion, load, namespace)
         executor = EventsExecutor()
         executor.add_node(commander)
+
+        def spin_until(is_done: Callable[[], bool]) -> None:
+            deadline = time.monotonic() + TIMEOUT
+            while not is_done():
+                if stopped():
+                    raise KeyboardInterrupt
+                for name, process in processes.items():
+                    if process.poll() is not None:
+                        code = process.poll()
+                        raise SimulationError(f'{name} ended early, with exit code {code}')
+                if time.monotonic() > deadline:
+                    raise SimulationError(
+                        f'the simulated robot does not follow the node after {TIMEOUT:.0f} s'
+                    )
+                executor.spin_once(timeout_sec=0.05)
+
         try:
-            _perform(commander, load, executor, processes, stopped, say)
+            # Garbage collection of the objects of the libraries would take 0.1 s each time.
+            gc.collect()
+            gc.freeze()
+            spin_until(commander.is_ready)
+            commander.begins = True
+            for begin, text in phases(load).items():
+                spin_until(partial(commander.has_reached, begin))
+                say(f'{begin:4.1f} s: {text}')
+            spin_until(partial(commander.has_reached, END))
         finally:
             executor.remove_node(commander)
             executor.shutdown()
@@ -352,7 +343,7 @@ def run_demo(urdf: str, stopped: Callable[[], bool], say: Callable[[str], None])
     return commander.recorded()
 
 
-def _commands(urdf: str) -> dict[str, list[str]]:
+def _commands(urdf: str, namespace: str) -> dict[str, list[str]]:
     """Map the name of each process to the arguments of ``python -m`` that start the process."""
     parameters = {
         'robot_description_file': f"'{urdf}'",
@@ -363,62 +354,17 @@ def _commands(urdf: str) -> dict[str, list[str]]:
         # The simulated robot shares the machine with other processes, and may pause for a while.
         'state_timeout': '0.5',
     }
+    ros = ['--ros-args', '-r', f'__ns:={namespace}']
     return {
         'the simulated robot': [
             *('inverse_dynamics_node.cli.main', 'simulate', urdf),
-            *('--ros-args', '-r', 'commands:=inverse_dynamics/commands'),
+            *(*ros, '-r', 'commands:=inverse_dynamics/commands'),
         ],
         'the node': [
-            *('inverse_dynamics_node.node.main', '--ros-args'),
+            *('inverse_dynamics_node.node.main', *ros),
             *(x for name, value in parameters.items() for x in ('-p', f'{name}:={value}')),
         ],
     }
-
-
-def _perform(
-    commander: Commander,
-    load: Load,
-    executor: EventsExecutor,
-    processes: Processes,
-    stopped: Callable[[], bool],
-    say: Callable[[str], None],
-) -> None:
-    """Wait until the robot follows the commands, and run the motion."""
-
-    def spin() -> None:
-        if stopped():
-            raise KeyboardInterrupt
-        for name, process in processes.items():
-            if process.poll() is not None:
-                raise SimulationError(f'{name} ended early, with exit code {process.poll()}')
-        executor.spin_once(timeout_sec=0.05)
-
-    # Garbage collection of the objects of the libraries would take 0.1 s each time.
-    gc.collect()
-    gc.freeze()
-    deadline = time.monotonic() + START_TIMEOUT
-    while not (commander.is_followed and commander.is_connected()):
-        if time.monotonic() > deadline:
-            raise SimulationError(
-                f'the simulated robot does not follow the node after {START_TIMEOUT:.0f} s'
-            )
-        spin()
-    phases = [
-        (0.0, 'the arm follows a reference'),
-        (HOLDS, 'the reference rests, and the arm holds its pose'),
-        (
-            LOADED,
-            f'the arm gets {load.mass:g} kg on {load.link!r}; the node does not know the load',
-        ),
-        (TOLD, 'the load is published on the topic ~/payload of the node'),
-    ]
-    commander.begin()
-    while commander.time < END:
-        spin()
-        while phases and commander.time >= phases[0][0]:
-            say('{:4.1f} s: {}'.format(*phases.pop(0)))
-        if time.monotonic() > commander.last_state + SILENCE_TIMEOUT:
-            raise SimulationError('the simulated robot has stopped sending joint states')
 
 
 # The verdict

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+import textwrap
 from typing import Any
 
 import numpy as np
 
-from ...simulation.demo import DemoRun, END, HOLDS, LOADED, TOLD
+from ...simulation.demo import DemoRun, END, phases
 from . import style
 
 _SHADES = ('#ffffff', '#e3f2e1', '#fff1d6', '#e8ecf7')
@@ -18,13 +19,8 @@ _LEAST_ERROR = 10.0  # [mrad, mm]: the axis shows at least this error
 def draw(run: DemoRun, verdict: str, path: Path) -> None:
     """Draw the position errors and the commanded efforts, and write the picture."""
     robot, load = run.robot, run.load
-    captions = (
-        'follows a reference',
-        'holds its pose',
-        f'gets {load.mass:g} kg,\nunknown to the node',
-        'the payload\nis published',
-    )
-    times = 0.0, HOLDS, LOADED, TOLD, END
+    captions = phases(load)
+    times = *captions, END
     errors = 1e3 * (run.desired - run.positions)
     efforts = run.commands / np.maximum(abs(run.commands).max(axis=0), 1e-9)
     slides = robot.is_prismatic_joint
@@ -41,8 +37,11 @@ def draw(run: DemoRun, verdict: str, path: Path) -> None:
         for axes in top, bottom:
             for k, shade in enumerate(_SHADES):
                 axes.axvspan(times[k], times[k + 1], color=shade, zorder=0, linewidth=0.0)
-        for k, caption in enumerate(captions):
-            middle = 0.5 * (times[k] + times[k + 1])
+        for k, text in enumerate(captions.values()):
+            middle, caption = (
+                0.5 * (times[k] + times[k + 1]),
+                textwrap.fill(text.removeprefix('the arm '), 19),
+            )
             top.text(middle, 1.62 * size, caption, ha='center', va='top', fontsize=9.5)
         style.set_title(figure, f'{robot.name}: the node moves a simulated arm', verdict)
         handles, labels = top.get_legend_handles_labels()
