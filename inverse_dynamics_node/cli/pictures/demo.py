@@ -38,10 +38,8 @@ def draw(run: DemoRun, verdict: str, path: Path) -> None:
             for k, shade in enumerate(_SHADES):
                 axes.axvspan(times[k], times[k + 1], color=shade, zorder=0, linewidth=0.0)
         for k, text in enumerate(captions.values()):
-            middle, caption = (
-                0.5 * (times[k] + times[k + 1]),
-                textwrap.fill(text.removeprefix('the arm '), 19),
-            )
+            middle = 0.5 * (times[k] + times[k + 1])
+            caption = textwrap.fill(text.removeprefix('the arm '), 19)
             top.text(middle, 1.62 * size, caption, ha='center', va='top', fontsize=9.5)
         style.set_title(figure, f'{robot.name}: the node moves a simulated arm', verdict)
         handles, labels = top.get_legend_handles_labels()
