@@ -14,10 +14,10 @@ When commands have arrived for 1.5 s and their efforts are steady, the robot fol
 like an arm with a forward_command_controller. When the commands stop, the position controller
 takes over after 0.5 s.
 
-The velocities are supervised: if a joint is too fast, the position controller brakes the robot and
-holds it. The bound is twice the velocity limit, or 12.6 rad/s or 2 m/s if the URDF has no limit.
-After braking, the robot ignores commands until none has arrived for 0.5 s. To send commands again,
-set the parameter dry_run of the node to true, and then back to false.
+The velocities are supervised: if a joint exceeds twice its velocity limit, the position controller
+brakes the robot and holds it. After that, the robot ignores commands until none has arrived for
+0.5 s. To send commands again, set the parameter dry_run of the node to true, and then back to
+false.
 
 Two topics change the robot without informing the node: ~/payload (geometry_msgs/InertiaStamped)
 attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The service
@@ -36,7 +36,7 @@ joints only, in the given order; the others hold their positions.
 examples:
   inverse_dynamics simulate my_arm.urdf
   inverse_dynamics simulate my_arm.urdf --driver franka_ros2
-  inverse_dynamics simulate my_arm.urdf --sway --friction
+  inverse_dynamics simulate my_arm.urdf --sway
   inverse_dynamics simulate my_arm.urdf --ros-args -p joints:='[joint_1, joint_2]'
   inverse_dynamics simulate my_arm.urdf --ros-args -r __ns:=/left -r commands:=my_commands
 
@@ -63,9 +63,6 @@ def make_parser() -> argparse.ArgumentParser:
         help='let the position controller move all joints back and forth until commands arrive',
     )
     parser.add_argument(
-        '--friction', action='store_true', help='give the joints the friction of the URDF'
-    )
-    parser.add_argument(
         '--rate',
         type=float,
         metavar='HZ',
@@ -86,14 +83,8 @@ def run(options: argparse.Namespace) -> int:
     # ROS applies the first remapping that fits, so those of the user come first.
     arguments = [*options.ros_arguments, '--ros-args', '-r', f'commands:={driver.commands}']
     arguments += ['-r', f'joint_states:={driver.joint_states}']
-    return simulate(
-        options.urdf,
-        driver,
-        options.rate or driver.rate,
-        arguments,
-        sways=options.sway,
-        friction=options.friction,
-    )
+    rate = options.rate or driver.rate
+    return simulate(options.urdf, driver, rate, arguments, sways=options.sway)
 
 
 def _line(name: str) -> str:

@@ -24,8 +24,7 @@ SILENCE = 0.5  # [s]: after this time without commands, the position controller 
 STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this time
 LONGEST = 10.0  # [s]: after this time, unsteady commands take over too
 SPEED_FACTOR = 2.0  # speed bound divided by velocity limit, because a joint may overshoot
-NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: speed bounds of joints without a limit
-# Larger limits are placeholders. Smaller bounds would stop a robot that is pushed by hand.
+# Smaller bounds would stop a robot that is pushed by hand. Larger limits are placeholders.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
 COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of the same error
@@ -142,50 +141,27 @@ class HandOver:
         speeds = self._robot.advance_within(duration, self._bounds)
         if speeds is None:
             return
-        excess = self._excess(speeds)
-        if not self.is_held:
-            self._has_fault = True
-            self._log.error(
-                f'{excess}, so the position controller brakes the robot and holds '
-                'it. Check signs, units and payloads with the command inverse_dynamics watch. '
-                f'Commands are ignored until they pause for {SILENCE} s. To pause the commands, '
-                'set the parameter dry_run of the inverse dynamics node to true. Then remove the '
-                'cause, and set dry_run to false'
-            )
-        elif now >= self._complaint_due:
+        if now >= self._complaint_due or not self.is_held:
             self._complaint_due = now + COMPLAINT_PERIOD
+            i = int(np.argmax(speeds / self._bounds))
+            unit = 'm/s' if self._robot.robot.is_prismatic_joint[i] else 'rad/s'
             self._log.error(
-                f'{excess} although the position controller holds the robot, so the brakes stop '
-                'it. A payload or a push may be too large for the effort limits of the URDF'
+                f"joint '{self._robot.robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more "
+                f'than {self._bounds[i]:.3g} {unit}, so the position controller brakes the robot '
+                'and holds it. Check signs, units, payloads and effort limits, also with the '
+                'command inverse_dynamics watch. Commands are ignored until they pause for '
+                f'{SILENCE} s, such as while the parameter dry_run of the node is true'
             )
+        self._has_fault = True
         self._take_over()
-
-    def _excess(self, speeds: Floats) -> str:
-        """Describe the joint that exceeds its speed bound the most."""
-        robot = self._robot.robot
-        i = int(np.argmax(speeds / self._bounds))
-        unit = 'm/s' if robot.is_prismatic_joint[i] else 'rad/s'
-        limit = robot.velocity_limits[i]
-        source = 'no velocity limit'
-        if math.isfinite(limit):
-            source = f'velocity limit {limit:.3g} {unit}'
-        return (
-            f"joint '{robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more than "
-            f'its bound of {self._bounds[i]:.3g} {unit} ({source} in the URDF)'
-        )
 
 
 def velocity_bounds(robot: RobotModel) -> Floats:
     """
     Return the largest permitted speed of each joint, shape (n,) [rad/s or m/s].
 
-    The bounds are twice the velocity limits, clipped to a plausible range. Joints without a
-    velocity limit get a default bound.
+    The bounds are twice the velocity limits, clipped to a plausible range.
     """
     slides = robot.is_prismatic_joint
-    default, least, most = (
-        np.where(slides, by_kind[1], by_kind[0]) for by_kind in (NO_LIMIT, LEAST, MOST)
-    )
-    limits = robot.velocity_limits
-    wanted = np.where(np.isfinite(limits), SPEED_FACTOR * limits, default)
-    return np.asarray(np.clip(wanted, least, most))
+    least, most = (np.where(slides, bound[1], bound[0]) for bound in (LEAST, MOST))
+    return np.asarray(np.clip(SPEED_FACTOR * robot.velocity_limits, least, most))

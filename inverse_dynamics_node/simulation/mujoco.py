@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from ..dynamics.arguments import read_inertial, read_vector
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..errors import InverseDynamicsError
-from ..robot.model import Booleans, Floats, RobotModel
+from ..robot.model import Floats, RobotModel
 from ..robot.rigid_body import combine, RigidBody
 
 LARGEST_STEP = 0.00025  # [s]: integration errors are far below the effect of one late sample
 STIFFEST = 0.9999  # MuJoCo's upper bound on the stiffness of a constraint
-LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: the smallest finger joints have 1000 times as much
 LEAST_INDEPENDENCE = 1e-9  # least eigenvalue; rounding leaves 1e-16 if two joints move as one
+LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: the smallest finger joints have 1000 times as much
 DRIVE_GAINS = 900.0, 60.0  # [1/s^2], [1/s] of the position controller: critically damped, 5 Hz
 HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2]: held joints have springs of 10 Hz
 POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # inertia of a point mass
@@ -235,30 +235,27 @@ class MujocoRobot:
 
 
 def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
-    """Raise a `SimulationError` if a joint has no inertia."""
-    idle = _without_inertia(mass_matrix)
-    if idle.any():
-        names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))
+    """Raise a `SimulationError` if a joint cannot move mass independently of other joints."""
+    independence, mixtures = np.linalg.eigh(with_unit_diagonal(mass_matrix))
+    singular = mixtures[:, independence < LEAST_INDEPENDENCE]
+    idle = np.flatnonzero((abs(singular) > 0.1).any(axis=1))
+    if idle.size:
+        names = ', '.join(repr(robot.joint_names[i]) for i in idle)
         raise SimulationError(
             f'no mass resists the motion of joint {names}: add an <inertial> with mass and '
             'inertia to a link that the joint moves, or make the joint fixed'
         )
 
 
-def _without_inertia(inertia: Floats) -> Booleans:
-    """Return which joints move no mass, or cannot move mass independently of other joints."""
-    idle = np.asarray(inertia.diagonal() < LEAST_INERTIA)
-    if idle.any():
-        return idle
-    independence, mixtures = np.linalg.eigh(with_unit_diagonal(inertia))
-    singular = mixtures[:, independence < LEAST_INDEPENDENCE]
-    return np.asarray((abs(singular) > 0.1).any(axis=1))
-
-
 def with_unit_diagonal(inertia: Floats) -> Floats:
-    """Scale a mass matrix to a unit diagonal; strong coupling then shows as a small eigenvalue."""
-    scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
-    return inertia * np.outer(scale, scale)
+    """
+    Scale a mass matrix to a unit diagonal; strong coupling then shows as a small eigenvalue.
+
+    So does a joint that moves no mass.
+    """
+    diagonal = inertia.diagonal()
+    scale = np.where(diagonal < LEAST_INERTIA, 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)))
+    return np.asarray(inertia * np.outer(scale, scale))
 
 
 def compile_model(robot: RobotModel, friction: bool = True) -> Any:

@@ -69,7 +69,6 @@ class RobotNode(Node):
         driver: Driver = IDEAL,
         *,
         start: ArrayLike | None = None,
-        friction: bool = False,
         sways: bool = False,
         release: float = RELEASE,
         **options: Any,
@@ -81,7 +80,7 @@ class RobotNode(Node):
             description='Commanded joints, in the order of the commands.', read_only=True
         )
         joints = self.declare_parameter('joints', list(robot.joint_names), description).value
-        self.robot = MujocoRobot(robot, start, friction, joints)
+        self.robot = MujocoRobot(robot, start, friction=False, joints=joints)
         self._actuation = Actuation(self.robot, driver)
         self._hand_over = HandOver(self._actuation, self.get_logger(), sways, release)
         self._began: int | None = None

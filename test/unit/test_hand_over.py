@@ -189,13 +189,13 @@ def test_the_error_names_joint_speed_and_bound_and_the_way_out():
     bench.run(0.5, lambda: efforts)
     (error,) = bench.log.errors
     assert error.startswith("joint 'roll' reaches ")
-    assert 'more than its bound of 1.68 rad/s (velocity limit 0.84 rad/s in the URDF)' in error
-    assert 'Commands are ignored until they pause for 0.5 s. To pause the commands' in error
+    assert 'more than 1.68 rad/s, so the position controller brakes the robot' in error
+    assert 'Commands are ignored until they pause for 0.5 s, such as while the parameter' in error
 
 
 def test_bounds_are_twice_the_velocity_limits_within_reason():
     urdf = LIGHT_WRIST.replace('"0.63"', '"0.1"', 1).replace('"0.63"', '"1000"', 1)
-    assert velocity_bounds(load_urdf(urdf)) == pytest.approx([1.0, 40.0, 1.68, 1.68, 4.0 * np.pi])
+    assert velocity_bounds(load_urdf(urdf)) == pytest.approx([1.0, 40.0, 1.68, 1.68, 40.0])
     slides = load_urdf(ROOT / 'test' / 'robots' / 'cartesian.urdf')
     limits = slides.velocity_limits[slides.is_prismatic_joint]
     expected = np.clip(2.0 * limits, 0.25, 5.0)
@@ -232,12 +232,11 @@ def test_load_that_only_the_robot_carries_stops_it(mass):
     bench.simulation.set_payload('link_6', mass, (0.0, 0.0, 0.1))
     positions, velocities = bench.run(3.0, bench.gravity)
     assert (np.abs(velocities) <= bench.bounds).all()
-    assert "joint 'joint_" in bench.log.errors[0]
+    (error,) = bench.log.errors
+    assert "joint 'joint_" in error
+    assert 'Check signs, units, payloads and effort limits' in error
     if mass == 5.0:
         assert np.ptp(positions[-50:], axis=0).max() < 1e-4
-        assert len(bench.log.errors) == 1
-    else:
-        assert 'too large for the effort limits' in bench.log.errors[1]
 
 
 def test_commands_are_ignored_after_a_fault_until_they_pause():
