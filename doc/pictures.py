@@ -174,7 +174,7 @@ def draw_screen(ros, name):
     watch._began = time.monotonic()
     watch._loop(lambda: None, 1.0)
     console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
-    console.print(screen(watch.observer, watch.sample, watch.agreement, COLUMNS))
+    console.print(screen(watch.observer, watch.sample, watch.agreement))
     page = re.sub(r'@font-face \{\{.*?\}\}', '', CONSOLE_SVG_FORMAT, flags=re.DOTALL)
     page = page.replace('Fira Code', 'DejaVu Sans Mono')
     text = console.export_svg(title='inverse_dynamics watch', code_format=page, unique_id=name)

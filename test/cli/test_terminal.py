@@ -132,7 +132,7 @@ def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
     monkeypatch.setenv('COLUMNS', '200')
     monkeypatch.setenv('TERM', 'xterm')
     monkeypatch.setattr(sys, 'stdout', output)
-    Console(highlight=False).print(live_view.screen(observer, sample, agreement, 200))
+    Console(highlight=False).print(live_view.screen(observer, sample, agreement))
     text = output.getvalue()
     assert '\\x9b2J' in text
     assert '[red]m[/red] [/x] :smile:' in text
