@@ -140,11 +140,11 @@ def test_compare_names_joints_and_recording(robot, drawn, here):
 
 
 def test_shortened_names_are_distinct():
-    assert style.shortened('gripper_left_finger_1', 15) == 'gripper…inger_1'
-    assert style.shortened('elbow', 15) == 'elbow'
-    assert style.all_shortened(['left_arm_elbow', 'right_arm_wrist'], 9) == [
+    assert style.elided('gripper_left_finger_1', 15) == 'gripper…inger_1'
+    assert style.elided('elbow', 15) == 'elbow'
+    assert style.all_elided(['left_arm_elbow', 'right_arm_wrist'], 9) == [
         'left…lbow',
         'righ…rist',
     ]
     names = ['scara_inner_arm_joint', 'scara_outer_arm_joint']
-    assert style.all_shortened(names, 9) == names
+    assert style.all_elided(names, 9) == names

@@ -6,7 +6,12 @@ from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.excitation import search
 from inverse_dynamics_node.analysis.excitation.fourier import FourierSeries
 from inverse_dynamics_node.analysis.excitation.information import expected_errors
-from inverse_dynamics_node.analysis.excitation.limits import motion_limits, States, whole_states
+from inverse_dynamics_node.analysis.excitation.limits import (
+    FRACTION,
+    motion_limits,
+    States,
+    whole_states,
+)
 from inverse_dynamics_node.analysis.excitation.search import find_excitation, SAMPLES_PER_SECOND
 import numpy as np
 from numpy.testing import assert_allclose
@@ -123,9 +128,9 @@ def test_a_motion_of_a_random_robot_is_within_weak_drives(seed, brief):
 
 
 def test_missing_limits_are_assumed_and_reported():
-    limits = motion_limits(arm('effort="0" velocity="0"', 'continuous'), fraction=1.0)
-    assert (limits.lower, limits.upper) == (-math.pi, math.pi)
-    assert limits.speeds == 1.0
+    limits = motion_limits(arm('effort="0" velocity="0"', 'continuous'))
+    assert (limits.lower, limits.upper) == (-FRACTION * math.pi, FRACTION * math.pi)
+    assert limits.speeds == FRACTION
     assert np.isinf(limits.efforts).all()
     notes = ' '.join(limits.notes)
     assert 'joints with a range of more than one turn move within one turn: hinge' in notes
@@ -133,9 +138,10 @@ def test_missing_limits_are_assumed_and_reported():
     slide = load_urdf(ROBOTS / 'cartesian.urdf')
     assert slide.is_prismatic_joint.any()
     object.__setattr__(slide, 'lower', np.full_like(slide.lower, -np.inf))
-    open_ended = motion_limits(slide, fraction=1.0)
+    open_ended = motion_limits(slide)
     assert_allclose(
-        open_ended.upper - open_ended.lower, np.where(slide.is_prismatic_joint, 1, 2 * math.pi)
+        open_ended.upper - open_ended.lower,
+        FRACTION * np.where(slide.is_prismatic_joint, 1, 2 * math.pi),
     )
     assert (open_ended.upper <= slide.upper).all()
 
@@ -187,8 +193,6 @@ def test_invalid_options_are_rejected(options, words):
     dynamics = dynamics_of(PLANAR)
     with pytest.raises(ConfigurationError, match=words):
         find_excitation(dynamics, motion_limits(dynamics.robot), **options)
-    with pytest.raises(ConfigurationError, match=r'fraction is 1\.5, expected a value above 0'):
-        motion_limits(dynamics.robot, fraction=1.5)
 
 
 # Information

@@ -70,27 +70,18 @@ class MotionLimits:
         return np.asarray(0.5 * (self.upper - self.lower))
 
 
-def motion_limits(
-    robot: RobotModel,
-    joints: Sequence[str] = (),
-    fraction: float = FRACTION,
-) -> MotionLimits:
+def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits:
     """
     Collect the limits of a motion.
 
     `joints` are the joints to move. The default is all joints that can move, except joints that
-    carry almost no mass. `fraction` is the part of the position ranges, speeds and efforts that
-    the motion may use. Before the motion, each joint is at 0, or at the limit nearest to 0 if 0 is
-    out of range. Raises ConfigurationError if a joint does not exist or cannot move, or if
-    `fraction` is invalid.
+    carry almost no mass. The motion may use the `FRACTION` of the position ranges, speeds and
+    efforts. Before the motion, each joint is at 0, or at the limit nearest to 0 if 0 is out of
+    range. Raises ConfigurationError if a joint does not exist or cannot move.
 
     """
-    if not 0.0 < fraction <= 1.0:
-        raise ConfigurationError(
-            f'fraction is {fraction!r}, expected a value above 0 and at most 1'
-        )
     notes: list[str] = []
-    lower, upper, speeds = _ranges(robot, fraction, notes)
+    lower, upper, speeds = _ranges(robot, notes)
     positions = np.clip(0.0, *joint_ranges(robot))
     still = {  # joints that cannot move, with the reason
         name: f'its range is only {low:g} to {high:g}'
@@ -106,12 +97,12 @@ def motion_limits(
         lower[index],
         upper[index],
         speeds[index],
-        fraction * robot.effort_limits,
+        FRACTION * robot.effort_limits,
         notes=tuple(notes),
     )
 
 
-def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Floats, Floats, Floats]:
+def _ranges(robot: RobotModel, notes: list[str]) -> tuple[Floats, Floats, Floats]:
     """Return lower, upper and speed limits; append the assumptions to `notes`."""
     slides = robot.is_prismatic_joint
     lower, upper = joint_ranges(robot)
@@ -120,7 +111,7 @@ def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Float
     start = np.where(np.isfinite(upper), upper - ASSUMED_SLIDE, start)
     lower = np.where(unbounded, start, lower)
     upper = np.where(unbounded, start + ASSUMED_SLIDE, upper)
-    middle, half = 0.5 * (lower + upper), 0.5 * fraction * (upper - lower)
+    middle, half = 0.5 * (lower + upper), 0.5 * FRACTION * (upper - lower)
     assumed = np.where(slides, ASSUMED_SPEED[1], ASSUMED_SPEED[0])
     speeds = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, assumed)
     endless = ~slides & ~(robot.upper - robot.lower <= 2.0 * math.pi)
@@ -136,7 +127,7 @@ def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Float
         found = [robot.joint_names[i] for i in np.flatnonzero(condition)]
         if found:
             notes.append(f'{words}: {listed(found)}')
-    return middle - half, middle + half, fraction * speeds
+    return middle - half, middle + half, FRACTION * speeds
 
 
 def _light(robot: RobotModel) -> dict[str, str]:

@@ -47,7 +47,7 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
         figsize=(style.WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
         width_ratios=(1.6, 1.0),
     )
-    names = style.all_shortened([joint.name for joint in result.joints], 40)
+    names = style.all_elided([joint.name for joint in result.joints], 40)
     for c, (left, right) in enumerate(axes):
         joint = result.joints[c]
         lines = _draw_efforts(left, result, c)
@@ -74,7 +74,7 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
     """Draw a small panel for each joint, with efforts only."""
     figure, panels = style.panels(pyplot, len(result.joints), _ACROSS, 1.15)
-    names = style.all_shortened([joint.name for joint in result.joints], _NAME_LETTERS)
+    names = style.all_elided([joint.name for joint in result.joints], _NAME_LETTERS)
     for c, ax in enumerate(panels):
         joint = result.joints[c]
         lines = _draw_efforts(ax, result, c)
@@ -105,7 +105,7 @@ def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
 
 def draw_payload(result: PayloadEstimate, source: str, title: str, path: Path) -> None:
     """Draw the efforts of all joints over time, and write the picture."""
-    names = style.all_shortened(result.joint_names, 40)
+    names = style.all_elided(result.joint_names, 40)
     marks = {'marker': 'o', 'linestyle': ''} if result.poses else {}
     signals = (
         (result.measured, {**style.MEASURED, **marks}),

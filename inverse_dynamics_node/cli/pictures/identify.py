@@ -55,7 +55,7 @@ def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any
     unseen, found = result.unseen, result.joints[joint]
     signals = [(getattr(unseen, name), look) for name, _, look in _LOOKS]
     lines = style.draw_signals(ax, unseen.times, joint, signals)
-    ax.set_title(style.shortened(found.name, 40), fontsize=9.5, pad=3)
+    ax.set_title(style.elided(found.name, 40), fontsize=9.5, pad=3)
     residuals = found.unseen
     text = (
         f'RMS residual: {residuals.urdf:.2g}, {residuals.friction:.2g}, {residuals.identified:.2g}'
@@ -79,7 +79,7 @@ def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
         ax.plot([value, value], [place - 0.4, place + 0.4], color='black', linewidth=1.0)
     ax.set_xlim(0.0, min(1.6, 1.05 * max(1.0, *(j.unseen.friction / m for j, m in zip(
         joints, measured, strict=True)))))  # fmt: skip
-    ax.set_yticks(places, style.all_shortened([joint.name for joint in joints], 16), fontsize=8.5)
+    ax.set_yticks(places, style.all_elided([joint.name for joint in joints], 16), fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
     ax.set_title('RMS residual / measured (black: noise)', fontsize=9.5, pad=3)
@@ -97,7 +97,7 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
     ax.errorbar(after, places + 0.2, xerr=errors, fmt='none', ecolor='black', elinewidth=1.0,
                 capsize=2.0)  # fmt: skip
     ax.set_xlim(0.0, 1.15 * max(*before, *after, 1e-9))
-    names = style.all_shortened([body.link for body in bodies], 16)
+    names = style.all_elided([body.link for body in bodies], 16)
     labels = [f'{name} {body.data_fraction:.0%}' for name, body in zip(names, bodies, strict=True)]
     ax.set_yticks(places, labels, fontsize=8.5)
     ax.invert_yaxis()

@@ -67,7 +67,7 @@ def _draw_efforts(axes: Any, workspace: Workspace) -> None:
         axes.plot(
             [marks[i]], [i], 'D', color=style.RED if peaks[i] > limit else colour, markersize=4.5
         )
-    axes.set_yticks(range(len(names)), style.all_shortened(names, 26))
+    axes.set_yticks(range(len(names)), style.all_elided(names, 26))
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(-_REACH, _REACH)
     axes.set_xticks([-1.0, 0.0, 1.0], ['-worst', '0', '+worst'])
@@ -123,7 +123,7 @@ def draw_requirements(
     """Draw a panel for each joint, and write the picture."""
     m = len(fine.joint_names)
     columns = 1 if m == 1 else 2 if m <= 12 else 3
-    names = style.all_shortened(fine.joint_names, _NAME_LETTERS[columns])
+    names = style.all_elided(fine.joint_names, _NAME_LETTERS[columns])
     with style.styled_pyplot() as pyplot:
         figure, panels = style.panels(pyplot, m, columns, 1.7 if m > 2 else 2.3)
         for k, axes in enumerate(panels):

@@ -112,15 +112,15 @@ def title_lines(*paragraphs: str) -> list[str]:
     return [*lines[:_TITLE_LINES], '...'] if len(lines) > _TITLE_LINES else lines
 
 
-def shortened(text: str, size: int) -> str:
+def elided(text: str, size: int) -> str:
     """Replace the middle of a long text with "…", because names differ at the start or end."""
     head = (size - 1) // 2
     return text if len(text) <= size else f'{text[:head]}…{text[len(text) - (size - 1 - head) :]}'
 
 
-def all_shortened(names: Sequence[str], size: int) -> list[str]:
+def all_elided(names: Sequence[str], size: int) -> list[str]:
     """Shorten names, unless two of them would become equal."""
-    short = [shortened(name, size) for name in names]
+    short = [elided(name, size) for name in names]
     return short if len(set(short)) == len(set(names)) else list(names)
 
 
@@ -178,7 +178,7 @@ def look_of(i: int) -> dict[str, Any]:
 
 def draw_lines(axes: Any, times: Floats, values: Floats, names: Sequence[str]) -> None:
     """Draw a labelled line over time for each column of `values`."""
-    for k, name in enumerate(all_shortened(names, 22)):
+    for k, name in enumerate(all_elided(names, 22)):
         axes.plot(times, values[:, k], linewidth=1.2, label=name, **look_of(k))
     axes.margins(x=0.0)
 
