@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import math
 
 from inverse_dynamics_node.control import stop_damping
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase

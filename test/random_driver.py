@@ -20,7 +20,7 @@ import sys
 import time
 
 from inverse_dynamics_node import InverseDynamicsError, load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
@@ -79,20 +79,20 @@ class Node:
         )
 
     def apply(self):
-        self.loop.loads.apply(self.settings, self.include_gravity)
+        self.loop.loads.include(gravity=self.include_gravity)
         damping, coulomb, load = self.include_friction * np.array([1.2, 0.6, 0.05])
         self.loop.dynamics.set_friction(damping, coulomb, load_friction=load)
-        self.loop.controller.apply(self.settings)
+        self.loop.apply(self.settings)
 
     def set_payload(self, now, mass):
-        self.loop.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
+        self.loop.loads.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
 
     def set_wrench(self, now, force):
-        self.loop.set_external_wrench(now, TIP, force, np.zeros(3))
+        self.loop.loads.set_external_wrench(now, TIP, force, np.zeros(3))
 
     def set_gravity(self, now, angle):
         gravity = 9.8 * np.array([math.sin(angle), 0.0, -math.cos(angle)])
-        self.loop.set_gravity(now, gravity)
+        self.loop.loads.set_gravity(gravity, now)
 
     def step(self, now):
         """Return the computed command, and the efforts that are sent."""
@@ -207,7 +207,7 @@ class Sequence:
         self.last_imu = self.steady
         force = np.array([math.sin(self.steady), 0.0, 9.8])
         loop = self.node.loop
-        self.load('imu', lambda now: loop.set_base_motion(now, force, np.zeros(3)))
+        self.load('imu', lambda now: loop.loads.set_base_motion(now, force, np.zeros(3)))
 
     def load(self, kind, act):
         self.promises.load(self.now, partial(act, self.now), kind)

@@ -11,7 +11,7 @@ has the direction of its motion.
 import sys
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
 from inverse_dynamics_node.simulation.mujoco import MujocoRobot, SimulationError
@@ -75,7 +75,7 @@ class Runaway:
                 stiffness=tuple(stiffness),
                 impedance_damping=tuple(2.0 * np.sqrt(stiffness * inertia)),
             )
-            self.loop.controller.apply(gains)
+            self.loop.apply(gains)
         n, m = len(robot.joint_names), len(self.joints)
         self.factor, self.order, self.delay = np.ones(m), np.arange(m), 0
         self.of_velocity, self.axis, self.zero = np.ones(n), np.ones(n), np.zeros(n)

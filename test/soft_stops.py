@@ -88,12 +88,11 @@ class SoftStop:
                 )
             if self.time >= STOP and not loop.controller.is_stopping:
                 loop.controller.stop()
-            command = loop.step(self.time).efforts.copy()
-            self.commands.append(command)
-            damping = loop.controller.stop_damping
-            if damping.report:
-                self.end, self.report, damping.report = self.time, damping.report, ''
-            hardware.command(command)
+            command = loop.step(self.time)
+            self.commands.append(command.efforts.copy())
+            if command.end_of_damping:
+                self.end, self.report = self.time, command.end_of_damping
+            hardware.command(self.commands[-1])
             hardware.advance(1.0 / self.rate)
             self.time += 1.0 / self.rate
         return self

@@ -18,19 +18,31 @@ def store_state(collector, now, names, *values):
 class Controller(loop.Controller):
     """A controller with the time and the command of a step in one call."""
 
+    end_of_damping = ''
+
     def step(self, now, state, reference):
         self.pass_time(now)
-        return self.command(now, state, reference)
+        command = self.command(now, state, reference)
+        if command is not None:
+            self.end_of_damping = command.end_of_damping or self.end_of_damping
+        return command
 
 
 class UnobservedController(Controller):
     """A controller whose motion limits find nothing, for states that are no motion."""
 
     def _observe(self, now, state, is_live):
-        pass
+        self.motion_limits.reset()
+        super()._observe(now, state, is_live)
 
 
 def unobserved(loop):
     """Let the motion limits of a control loop find nothing, for states that are no motion."""
-    loop.controller._observe = lambda *arguments: None
+    observe = loop.controller._observe
+
+    def observe_anew(*arguments):
+        loop.controller.motion_limits.reset()
+        observe(*arguments)
+
+    loop.controller._observe = observe_anew
     return loop

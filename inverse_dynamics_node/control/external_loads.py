@@ -1,9 +1,9 @@
 """
 Applies payloads, wrenches, gravity and the motion of the base to the dynamics.
 
-All loads take effect at once. The methods say whether the efforts may jump, so that the caller can
-blend the change in. A wrench ends when its messages stop. When the messages about the base stop,
-gravity keeps its last value.
+All loads take effect at once. `ExternalLoads.update` says whether the efforts may jump, so that
+the caller can blend the change in. A wrench ends when its messages stop. When the messages about
+the base stop, gravity keeps its last value.
 """
 
 from __future__ import annotations
@@ -72,6 +72,9 @@ class ExternalLoads:
         """Current free-fall acceleration in the base frame [m/s^2]."""
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)), _IMU_CUTOFF)  # gravity and angular velocity
+        self._has_jumped = (
+            False  # whether efforts may jump because of the loads set since `update`
+        )
         self._is_base_lost = True
         self._is_new_signal = False  # whether the next motion of the base restarts the filter
         self._write_base()
@@ -91,6 +94,7 @@ class ExternalLoads:
         pairs: Any = zip(payload, last, strict=True)
         if all(np.array_equal(one, other) for one, other in pairs):
             return False
+        self._has_jumped = True
         self.dynamics.set_payload(link, *payload)
         self.payloads.pop(link, None)
         if payload is not NO_PAYLOAD:
@@ -104,8 +108,8 @@ class ExternalLoads:
         Apply an external wrench to a link; a wrench that is not renewed ends.
 
         ``now`` is the time [s]. The other arguments are those of
-        `InverseDynamics.set_external_wrench`. The result is true if efforts may jump because the
-        link had no recent wrench. A ConfigurationError is raised unless the link exists and each
+        `InverseDynamics.set_external_wrench`. The result is true if the link had no recent wrench,
+        so that efforts may jump. A ConfigurationError is raised unless the link exists and each
         vector consists of three numbers from -1e9 to 1e9.
 
         """
@@ -115,16 +119,17 @@ class ExternalLoads:
         self.dynamics.set_external_wrench(link, F, N)
         age = now - self._wrench_times.get(link, -math.inf)
         self._wrench_times[link] = now
-        return not 0.0 <= age <= self.settings.wrench_timeout
+        is_new = not 0.0 <= age <= self.settings.wrench_timeout
+        self._has_jumped |= is_new
+        return is_new
 
-    def set_gravity(self, gravity: ArrayLike, now: float = -math.inf) -> bool:
+    def set_gravity(self, gravity: ArrayLike, now: float = -math.inf) -> None:
         """
         Set the free-fall acceleration in the base frame, shape (3,) [m/s^2].
 
-        ``now`` is the time of a message about gravity [s]. The result is true if efforts may jump.
-        They do not jump if the change is as small as that between two messages while the base
-        turns. A ConfigurationError is raised unless gravity consists of three numbers from -100 to
-        100.
+        ``now`` is the time of a message about gravity [s]. Efforts do not jump if the change is as
+        small as that between two messages while the base turns. A ConfigurationError is raised
+        unless gravity consists of three numbers from -100 to 100.
 
         """
         last, elapsed = self.gravity, now - self._gravity_time
@@ -133,18 +138,18 @@ class ExternalLoads:
         self._write_base()
         is_stream = 0.0 <= elapsed <= _GRAVITY_PERIOD
         largest = _GRAVITY_RATE * elapsed if is_stream else 0.0
-        return float(np.linalg.norm(self.gravity - last)) > largest
+        self._has_jumped |= float(np.linalg.norm(self.gravity - last)) > largest
 
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
-    ) -> bool:
+    ) -> None:
         """
         Set the motion of the base from IMU data; the specific force replaces gravity.
 
         ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
-        ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result is
-        true if efforts may jump because the motion was unknown or the filter restarted. A
-        ConfigurationError is raised unless each vector consists of three numbers from -500 to 500.
+        ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. Efforts may
+        jump if the motion was unknown or the filter restarted. A ConfigurationError is raised
+        unless each vector consists of three numbers from -500 to 500.
 
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
@@ -157,7 +162,7 @@ class ExternalLoads:
         )
         self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
         self._write_base()
-        return was_lost
+        self._has_jumped |= was_lost
 
     def expect_new_signal(self) -> None:
         """Restart the filter at the next call of `set_base_motion`."""
@@ -171,11 +176,11 @@ class ExternalLoads:
         """
         End stale wrenches, and check whether the motion of the base is known.
 
-        The result is true if efforts may jump because a wrench has ended, or because the motion of
-        the base has just become unknown.
+        The result is true if efforts may jump because of a load that was set since the last call,
+        a wrench that has ended, or the motion of the base if it has just become unknown.
 
         """
-        has_jumped = False
+        has_jumped, self._has_jumped = self._has_jumped, False
         for link, time in list(self._wrench_times.items()):
             if now < time:  # the clock was set back
                 self._wrench_times[link] = now
@@ -191,11 +196,10 @@ class ExternalLoads:
         self._write_base()
         return True
 
-    def apply(self, settings: Settings, include_gravity: bool) -> None:
-        """Change the settings; the caller must then blend the efforts."""
-        self.settings = settings
-        if include_gravity is not self.include_gravity:
-            self.include_gravity = include_gravity
+    def include(self, *, gravity: bool) -> None:
+        """Include or exclude gravity and the acceleration of the base from now on."""
+        if gravity is not self.include_gravity:
+            self.include_gravity, self._has_jumped = gravity, True
             self._write_base()
 
     @contextmanager

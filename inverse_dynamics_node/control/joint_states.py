@@ -14,8 +14,7 @@ import numpy as np
 
 from ..dynamics.jit import compile_for, compiled
 from ..errors import ConfigurationError, did_you_mean, JointStateError
-from ..robot.model import Booleans, Floats, Integers, RobotModel
-from .position_jumps import has_jumped, make_tracks
+from ..robot.model import Booleans, Floats, Integers
 
 LATE_AFTER = 1.0
 """Time after which an uncommanded joint without new states counts as late [s]."""
@@ -29,9 +28,9 @@ POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, with one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
 # Rows of the flags, with one column per joint of the robot.
-_COMMANDED, _HAS_VELOCITY, _LOST = range(3)
+_HAS_VELOCITY, _LOST = range(2)
 # Results of `store_joint_state`: `INFINITE`, or the sum of some of the other flags.
-INFINITE, STORED, JUMPED, LEAPT, LOST = -1, 1, 2, 4, 8
+INFINITE, STORED, CHANGED = -1, 1, 2
 
 Numbers = Sequence[float] | Floats
 
@@ -49,6 +48,24 @@ class State(NamedTuple):
     """Arrival time of each joint's state, shape (n,) [s]."""
     has_velocity: Booleans | None = None
     """Which joints have a measured velocity, shape (n,); None if all have one."""
+
+
+class Events(NamedTuple):
+    """What has happened to the joint states since the last step, apart from motion."""
+
+    has_changed: bool = False
+    """
+    Whether what is known of a joint has changed. The possible causes are:
+
+    - An uncommanded joint has become late, or is no longer late.
+    - A locked joint was reported for the first time.
+    - The velocity of a joint was reported for the first time, or is no longer reported.
+    """
+    lost_velocities: tuple[str, ...] = ()
+    """Joints whose velocities are no longer reported."""
+
+
+_NO_EVENTS = Events()
 
 
 @dataclass
@@ -76,8 +93,8 @@ class JointStateCollector:
     positions [rad or m] for joints that might never be reported. A locked position applies until
     the first report of the joint. Locked joints are never missing and never stale. ``commanded``
     lists the joints that need a fresh state. By default, all joints that are not locked need a
-    fresh state. ``robot`` provides the speed limits for `position_jumps`. A ConfigurationError is
-    raised if a locked joint is unknown or commanded, or if a locked position is not finite.
+    fresh state. A ConfigurationError is raised if a locked joint is unknown or commanded, or if a
+    locked position is not finite.
 
     """
 
@@ -86,7 +103,6 @@ class JointStateCollector:
         joint_names: Sequence[str],
         locked: Mapping[str, float] | None = None,
         commanded: Sequence[str] = (),
-        robot: RobotModel | None = None,
     ) -> None:
         self.joint_names = tuple(joint_names)
         n = len(self.joint_names)
@@ -94,33 +110,20 @@ class JointStateCollector:
         self.q, self.qd, self.times, self.efforts = self._known
         """Last known states, each array of shape (n,); unmeasured efforts are NaN."""
         self.times[:], self.efforts[:] = -math.inf, math.nan
-        self.has_jumped = False
-        """
-        Set when the state may have jumped; cleared by the caller. The possible causes are:
-
-        - A joint has apparently moved faster than it can.
-        - An uncommanded joint has become late, or is no longer late.
-        - A locked joint was reported for the first time.
-        - The velocity of a joint was reported for the first time, or is no longer reported.
-        """
-        self.has_leapt = False
-        """Like `has_jumped`, but only set when a commanded joint has moved too fast."""
+        self._events = _NO_EVENTS
         self.velocity_timeout = _VELOCITY_TIMEOUT
         """Time after a joint's last velocity in which states without velocity are ignored [s]."""
-        self.lost_velocities: list[str] = []
-        """Joints whose velocities are no longer reported; cleared by the caller."""
         self.late_count = 0
-        """Number of late joints that `rest_late` found, except commanded and locked joints."""
-        self._flags = np.zeros((3, n), dtype=bool)
-        self._is_commanded, self._has_velocity, self._has_lost_velocity = self._flags
+        """Number of late joints in the last step, except commanded and locked joints."""
+        self._flags = np.zeros((2, n), dtype=bool)
+        self._has_velocity, self._has_lost_velocity = self._flags
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
         self._lock(locked or {}, commanded)
         self._is_free = self.times == -math.inf  # not locked
-        self._is_commanded[:] = self._is_free & [
+        self._is_commanded = self._is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
-        self._tracks = make_tracks(n, robot)
         self._is_resting = np.zeros(n, dtype=bool)
         self._has_resting = False
         compile_kernels()
@@ -184,7 +187,6 @@ class JointStateCollector:
             received,
             layout.places,
             self._known,
-            self._tracks,
             self._flags,
             now,
             self.velocity_timeout,
@@ -192,15 +194,19 @@ class JointStateCollector:
         )
         if result == INFINITE:
             raise self._infinite(layout)
-        if result & LOST:
-            self.lost_velocities += self._named(self._has_lost_velocity)
+        if result & CHANGED:
+            lost = tuple(self._named(self._has_lost_velocity))
+            self._events = Events(True, self._events.lost_velocities + lost)
             self._has_lost_velocity[:] = False
-        if result & JUMPED:
-            self.has_jumped = True
-            self.has_leapt |= bool(result & LEAPT)
         if result & STORED:
             self._find_oldest()
         return bool(result & STORED)
+
+    def at(self, now: float) -> tuple[State | None, Events]:
+        """Return the latest state, and what has happened since the last call; ``now`` in [s]."""
+        self._rest_late(now)
+        events, self._events = self._events, _NO_EVENTS
+        return self.state(), events
 
     def state(self) -> State | None:
         """Return the latest state; None until all unlocked joints have been reported."""
@@ -235,18 +241,14 @@ class JointStateCollector:
         is_late &= self.times > LONG_AGO
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
-    def rest_late(self, now: float) -> None:
-        """
-        Set the velocities of late, uncommanded joints to zero; ``now`` is the time [s].
-
-        Otherwise, a joint that is no longer reported would keep its last velocity forever.
-
-        """
+    def _rest_late(self, now: float) -> None:
+        """Let late, uncommanded joints rest, because they would keep their velocity forever."""
         are_fresh = 0.0 <= now - self._other_time <= LATE_AFTER or self._other_time == math.inf
         if are_fresh and not self._has_resting:
             return
         is_resting = ~self._is_commanded & (self.times > LONG_AGO) & self._is_old(now, LATE_AFTER)
-        self.has_jumped |= bool((is_resting != self._is_resting).any())
+        if (is_resting != self._is_resting).any():
+            self._events = self._events._replace(has_changed=True)
         self._is_resting, self._has_resting = is_resting, bool(is_resting.any())
         self.late_count = int(np.count_nonzero(is_resting & self._is_free))
         self.qd[is_resting] = 0.0
@@ -312,11 +314,7 @@ class JointStateCollector:
 def compile_kernels() -> None:
     """Compile all functions for joint states before the control loop starts."""
     compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
-    compile_for(has_jumped, 'b1(f8[:,::1], i8, f8, f8)')
-    compile_for(
-        store_joint_state,
-        'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8, f8, b1)',
-    )
+    compile_for(store_joint_state, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], b1[:,::1], f8, f8, b1)')
 
 
 @compiled
@@ -342,7 +340,6 @@ def store_joint_state(
     received: Any,
     places: Any,
     known: Any,
-    tracks: Any,
     flags: Any,
     now: float,
     velocity_timeout: float,
@@ -356,17 +353,14 @@ def store_joint_state(
     - ``places`` contains the indices of the k joints to store, shape (2, k). Row 0 refers to the
       robot, row 1 to the message.
     - ``known`` receives positions, velocities, times and efforts, shape (4, n).
-    - ``tracks`` comes from `position_jumps.make_tracks`.
-    - ``flags`` says which joints are commanded, have a velocity, and have lost it, shape (3, n).
+    - ``flags`` says which joints have a velocity, and which have lost it, shape (2, n).
     - ``now`` is the time [s]. ``velocity_timeout`` is as in `JointStateCollector` [s].
 
     The result is `INFINITE` if a position or velocity is infinite. Otherwise, the result is the
     sum of any of the following flags:
 
     - `STORED`: a joint was stored.
-    - `JUMPED`: `JointStateCollector.has_jumped` has to be set.
-    - `LEAPT`: a commanded joint has apparently moved faster than it can.
-    - `LOST`: the velocity of a joint is no longer reported.
+    - `CHANGED`: what is known of a joint has changed; see `Events`.
 
     """
     in_robot, in_message = places[0], places[1]
@@ -390,13 +384,9 @@ def store_joint_state(
             velocity, is_new = 0.0, had_velocity
             if had_velocity:
                 flags[_LOST, i] = True
-                result |= LOST
         flags[_HAS_VELOCITY, i] = has_velocity
         if is_new or last == LONG_AGO:
-            result |= JUMPED
-        elapsed = now - last if is_known else math.inf
-        if has_jumped(tracks, i, position, elapsed):
-            result |= JUMPED | LEAPT if flags[_COMMANDED, i] else JUMPED
+            result |= CHANGED
         known[POSITION, i] = position
         known[VELOCITY, i] = velocity
         known[TIME, i] = now

@@ -12,24 +12,15 @@ from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..robot.model import Booleans, Floats, RobotModel
-from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
-from .control_law import ControlLaw, DriveReference, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
+from .laws import joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
 from .settings import MeasuredGravity, Settings, StalePolicy
+from .shaping import CommandShaper, DriveReference
 from .stop_damping import StopDamping
-from .supervision import COMPUTING_PHASES, DryRun, Phase, StateSupervisor
-
-# Settings that affect the inputs of the computation. Other settings only affect the results.
-_INPUT_SETTINGS = (
-    'mode',
-    'state_timeout',
-    'reference_timeout',
-    'max_tracking_error',
-    'velocity_filter_cutoff',
-)
+from .supervision import COMPUTING_PHASES, DryRun, Phase, Supervisor
 
 
 class Command(NamedTuple):
@@ -43,6 +34,10 @@ class Command(NamedTuple):
     """Whether a rate limit slowed the change of each effort, shape (m,)."""
     sent: Floats | None = None
     """Efforts to send to the robot [N m or N]; None while a dry run sends nothing."""
+    end_of_damping: str = ''
+    """Why the stop damping has ended in this step; '' if it has not."""
+    lost_velocities: tuple[str, ...] = ()
+    """Joints whose velocities are no longer reported since the last step."""
 
 
 class Controller:
@@ -64,22 +59,23 @@ class Controller:
         settings: Settings | None = None,
         period: float = 0.0,
     ) -> None:
+        robot = dynamics.robot
         self.dynamics = dynamics
-        self.joints = tuple(joints) or dynamics.robot.joint_names
-        self._index = joint_index(self.joints, dynamics.robot)
-        self.supervisor = StateSupervisor()
-        self.law = ControlLaw(dynamics, self._index)
+        self.joints = tuple(joints) or robot.joint_names
+        self._index = joint_index(self.joints, robot)
+        units = ['m' if robot.is_prismatic_joint[i] else 'rad' for i in self._index]
+        self.supervisor = Supervisor(self.joints, units)
+        self.law = Law(dynamics, self._index)
+        """The law of the present mode."""
         self.stop_damping = StopDamping(dynamics, self._index)
         self.shaper = CommandShaper(self._index, period)
         self.motion_limits = MotionLimits(dynamics, self._index)
-        self._is_near = False  # whether the arm has been near the reference that it follows
         self.motion_problem = '', -math.inf
         """What the motion limits have found without stopping the arm, and when [s]."""
         command = self.shaper.command
         flags = self.shaper.is_saturated, self.shaper.is_slowed
         self._result = Command(command, *flags, sent=command)
-        self.settings = settings or Settings()
-        self.apply(self.settings)
+        self.apply(settings or Settings())
 
     def apply(self, settings: Settings) -> None:
         """
@@ -90,17 +86,18 @@ class Controller:
         wrong number of values, a ConfigurationError is raised and nothing changes.
 
         """
-        of_joint = settings.expanded(len(self.joints))
+        of_joint, robot = settings.expanded(len(self.joints)), self.dynamics.robot
         limits = of_joint['effort_limits']
         if settings.use_urdf_effort_limits:
-            limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
-        has_same_inputs = all(
-            getattr(settings, name) == getattr(self.settings, name) for name in _INPUT_SETTINGS
-        )
+            limits = np.minimum(limits, robot.effort_limits[self._index])
         self.settings, self.of_joint, self.limits = settings, of_joint, limits
+        kind = LAWS[settings.mode]
+        if type(self.law) is not kind:
+            self.law = kind(self.dynamics, self._index)
         self.law.apply(settings, of_joint)
+        self.supervisor.apply(settings, self.law)
         speed = of_joint['velocity_limits']
-        of_urdf = self.dynamics.robot.velocity_limits[self._index]
+        of_urdf = robot.velocity_limits[self._index]
         self.motion_limits.configure(
             np.where(speed < 0.0, of_urdf, np.where(speed == 0.0, math.inf, speed)),
             settings.guiding_speed,
@@ -114,10 +111,7 @@ class Controller:
             settings.start_ramp,
             settings.stop_ramp,
         )
-        if has_same_inputs:
-            self.blend_model()
-        else:
-            self.blend()
+        self.blend_model()
 
     def blend(self) -> None:
         """
@@ -161,16 +155,15 @@ class Controller:
         """Ramp the efforts to zero from the next step on, and keep them at zero."""
         if not self.is_stopping and self.phase in COMPUTING_PHASES:
             self.stop_damping.begin(self.settings, self.scale.copy(), self.limits.copy())
-        self.supervisor.is_stopping = True
+        self.supervisor.stop()
 
     def resume(self) -> None:
         """End a stop or limit stop; the efforts continue from the last command."""
-        supervisor = self.supervisor
-        if supervisor.limit_stop:
+        if self.supervisor.limit_stop:
             self.motion_limits.reset()
-        if supervisor.is_stopping or supervisor.limit_stop:
+        if self.supervisor.resume():
+            self.stop_damping.end()
             self.blend()  # even after a brief stop, because the reference may have been dropped
-        supervisor.is_stopping, supervisor.limit_stop = False, ''
 
     def start(self) -> None:
         """Start with zero efforts; the start ramp begins in the first step with a fresh state."""
@@ -183,13 +176,13 @@ class Controller:
     def limit_stop(self, reason: str) -> None:
         """Let the efforts fall to zero at once, and keep them at zero until `resume`."""
         self.stop_damping.end(reason if self.stop_damping.is_active else '')
-        self.supervisor.limit_stop = reason
+        self.supervisor.stop_at_limit(reason)
 
     def pass_time(self, now: float) -> float:
         """Advance the clock of the ramps to ``now`` [s]; return the time step of the ramps [s]."""
         clock = self.shaper.clock
         if clock.advance(now):
-            self.shaper.begin()
+            self.blend()
             # Old messages may arrive together, which show no motion.
             self.motion_limits.reset()
             self.stop_damping.fall()
@@ -212,85 +205,66 @@ class Controller:
         ``is_live``, the commands are not sent, and the motion limits only report.
 
         """
-        settings, damping = self.settings, self.stop_damping
-        supervisor, law, shaper = self.supervisor, self.law, self.shaper
-        if damping.is_active and not supervisor.is_stopping:
-            damping.end()
+        law, shaper, settings = self.law, self.shaper, self.settings
+        if not shaper.continues:
+            law.release()
         if state is not None and 0.0 <= now - state.time <= settings.state_timeout:
             self._observe(now, state, is_live)
-        blocking = supervisor.blocking_phase(now, state, settings.state_timeout, shaper.gain)
-        if blocking is Phase.WAITING:
+        phase = self.supervisor.decide(now, state, reference, shaper.gain, is_live=is_live)
+        if phase is Phase.WAITING:
             shaper.clock.start()
             return None
-        if blocking is None:
+        if phase in COMPUTING_PHASES:
             assert state is not None
-            if not shaper.continues:
-                law.equilibrium = None  # the arm may have moved away from the old one
-            phase = law.phase(now, state, reference)
             followed = reference if phase is Phase.RUNNING else None
-            if is_live and self._is_left_behind(phase, state, followed):
-                blocking = Phase.LIMIT_STOP
-            elif self._follow(now, state, followed):
-                supervisor.phase = phase
-                return self._result
-            else:
-                blocking = Phase.NO_SOLUTION
-        if blocking is not Phase.NO_SOLUTION:
-            self._is_near = False
+            tau = law.efforts(now, state, followed)
+            if tau is not None:
+                added = self.motion_limits.restrain(
+                    state, tau, law.added, shaper.clock.step, is_following=followed is not None
+                )
+                if shaper.follow(tau, added):
+                    return self._result
+            self.supervisor.fail()
+        else:
             law.forget()
-        supervisor.phase = blocking
-        if blocking is Phase.LIMIT_STOP:
+        return self._fall(now, state)
+
+    def _fall(self, now: float, state: State | None) -> Command:
+        """Let the efforts fall, or hold them, as the phase requires."""
+        phase, shaper, damping = self.phase, self.shaper, self.stop_damping
+        if phase is Phase.LIMIT_STOP:
             shaper.fall(within=LIMIT_RAMP)
-        elif blocking is Phase.STOPPED:
+        elif phase is Phase.STOPPED:
             clock = shaper.clock
             shaper.fall(damping.efforts(now, state, clock.step, clock.since), damping.limits)
-        elif settings.on_stale_state is StalePolicy.ZERO:
+        elif self.settings.on_stale_state is StalePolicy.ZERO:
             shaper.fall()
         else:
             shaper.hold()
-        return self._result
-
-    def _follow(self, now: float, state: State, reference: Reference | None) -> bool:
-        """Command the efforts of the law; return False if they are not finite."""
-        law, step, is_following = self.law, self.shaper.clock.step, reference is not None
-        tau = law.efforts(now, state, reference)
-        if tau is None:
-            return False
-        limits = self.motion_limits
-        added = limits.restrain(state, tau, law.added, step, is_following=is_following)
-        return self.shaper.follow(tau, added)
-
-    def _is_left_behind(self, phase: Phase, state: State, reference: Reference | None) -> bool:
-        """Begin a limit stop if the arm falls too far behind a reference that it was near."""
-        limit = self.settings.max_tracking_error
-        if not self.law.is_closed(phase) or reference is None or reference.positions is None:
-            self._is_near = False
-            return False
-        distances = np.abs(self.law.distance(state.q[self._index], reference.positions))
-        k = int(np.argmax(distances))
-        if distances[k] <= limit or not limit:
-            self._is_near = True
-            return False
-        if self._is_near:
-            unit = 'm' if self.dynamics.robot.is_prismatic_joint[self._index[k]] else 'rad'
-            self.limit_stop(
-                f'{self.joints[k]} is {distances[k]:.3g} {unit} from its reference, limit '
-                f'{limit:g} {unit}'
-            )
-        return self._is_near
+        report = damping.take_report()
+        return self._result._replace(end_of_damping=report) if report else self._result
 
     def _observe(self, now: float, state: State, is_live: bool) -> None:
-        """Stop the arm if its motion is beyond the limits; in a dry run, only remember it."""
+        """
+        Bridge a jump of the positions, and stop the arm if its motion is beyond the limits.
+
+        In a dry run, only remember what is wrong.
+
+        """
         phase = self.phase
-        is_computing = phase in COMPUTING_PHASES
-        is_following = phase is Phase.RUNNING or not is_computing or not is_live
-        problem = self.motion_limits.observe(state, is_following=is_following)
-        if problem is None or (problem.finding is Finding.JUMP and not self.law.is_closed(phase)):
-            return  # without feedback of the position, a jump is only blended in
-        if is_live and (is_computing or self.stop_damping.is_active):
-            self.limit_stop(problem.text)
-        elif not is_live:
-            self.motion_problem = problem.text, now
+        is_following = phase is Phase.RUNNING or phase not in COMPUTING_PHASES or not is_live
+        seen = self.motion_limits.observe(state, is_following=is_following)
+        if seen.has_jumped:
+            self.blend()
+        if seen.has_moved:
+            self.law.release()
+        is_closed = phase is Phase.RUNNING and self.law.is_closed
+        if not seen.finding or (seen.finding is Finding.JUMP and not is_closed):
+            return  # without feedback of the position, a jump is only bridged
+        if not is_live:
+            self.motion_problem = seen.text, now
+        elif phase in COMPUTING_PHASES or self.stop_damping.is_active:
+            self.limit_stop(seen.text)
 
 
 class ControlLoop:
@@ -327,22 +301,29 @@ class ControlLoop:
         self.dynamics = InverseDynamics(robot)
         self.controller = Controller(self.dynamics, joints, settings, period)
         commanded = self.controller.joints
-        self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
-        self._set_velocity_timeout()
+        self.collector = JointStateCollector(robot.joint_names, locked, commanded)
         self.loads = ExternalLoads(self.dynamics, settings, gravity, base_link)
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.measured_gravity = MeasuredGravity.AS_COMMANDED
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
-        self.drive = DriveReference(self.controller.law)
+        self.drive = DriveReference()
         self.dry_run = DryRun()
         """Selects the efforts to send, also while no dry run is active."""
+        self.apply(self.controller.settings)
+
+    def apply(self, settings: Settings) -> None:
+        """Change the settings; see `Controller.apply`."""
+        self.controller.apply(settings)
+        self.loads.settings = settings
+        # Less than the state timeout, so that messages without velocities do not stop the arm.
+        self.collector.velocity_timeout = 0.5 * settings.state_timeout
 
     def start(self, *, is_dry_run: bool = False) -> None:
         """Start with zero efforts and without a reference."""
         self.reference = None
-        self.drive.weight = 0.0
+        self.drive.reset()
         self.controller.start()
         self.dry_run = DryRun(is_active=is_dry_run)
 
@@ -377,61 +358,26 @@ class ControlLoop:
 
     def step(self, now: float) -> Command | None:
         """Compute the command at time ``now`` [s]; return None while inputs are `missing`."""
-        controller, collector, reference = self.controller, self.collector, self.reference
-        self._set_velocity_timeout()
-        ramp_step = controller.pass_time(now)
-        collector.rest_late(now)
-        state = collector.state()
+        controller, reference = self.controller, self.reference
+        elapsed = controller.pass_time(now)
+        state, events = self.collector.at(now)
         if self.loads.update(now):
             controller.blend_model()
-        if collector.has_jumped:
-            if collector.has_leapt:
-                controller.law.equilibrium = None
-            collector.has_jumped = collector.has_leapt = False
+        if events.has_changed:
             controller.blend()
         if reference is not None and reference.time > now:
             # The clock was set back. Otherwise, the old reference would be followed again later.
             reference = self.reference = None
-        if self.has_imu and self.lacks_imu:
+        if self.lacks_imu:
             state = None
         is_live = not self.dry_run.is_active
         command = controller.command(now, state, reference, is_live=is_live)
         if command is None:
             return None
-        sent = self.dry_run.select(command.efforts, ramp_step)
-        return command if sent is command.sent else command._replace(sent=sent)
-
-    def _set_velocity_timeout(self) -> None:
-        # Less than the state timeout, so that messages without velocities do not stop the arm.
-        self.collector.velocity_timeout = 0.5 * self.controller.settings.state_timeout
-
-    def set_base_motion(
-        self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
-    ) -> None:
-        """Set the motion of the base; see `ExternalLoads.set_base_motion`."""
-        if self.loads.set_base_motion(now, specific_force, angular_velocity):
-            self.controller.blend_model()
-
-    def set_gravity(self, now: float, gravity: ArrayLike) -> None:
-        """Set gravity from a message; see `ExternalLoads.set_gravity`."""
-        if self.loads.set_gravity(gravity, now):
-            self.controller.blend_model()
-
-    def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
-        """Set the payload of a link; see `ExternalLoads.set_payload`."""
-        is_new = self.loads.set_payload(link, mass, com, inertia)
-        if is_new:
-            self.controller.blend_model()
-        return is_new
-
-    def set_external_wrench(
-        self, now: float, link: str, force: ArrayLike, moment: ArrayLike
-    ) -> bool:
-        """Apply a wrench to a link; see `ExternalLoads.set_external_wrench`."""
-        has_jumped = self.loads.set_external_wrench(now, link, force, moment)
-        if has_jumped:
-            self.controller.blend_model()
-        return has_jumped
+        sent = self.dry_run.select(command.efforts, elapsed)
+        if sent is not command.sent or events.lost_velocities:
+            command = command._replace(sent=sent, lost_velocities=events.lost_velocities)
+        return command
 
     def missing(
         self, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
@@ -482,14 +428,14 @@ class ControlLoop:
     def drive_reference(self) -> tuple[Floats, Floats]:
         """Return positions and velocities to send with the last command; see `DriveReference`."""
         controller, collector = self.controller, self.collector
-        q, qd = collector.q[self.index], collector.qd[self.index]
         settings, phase = controller.settings, controller.phase
-        fall = LIMIT_RAMP if phase is Phase.LIMIT_STOP else settings.stop_ramp
         return self.drive.motion(
-            q,
-            qd,
+            controller.law,
+            collector.q[self.index],
+            collector.qd[self.index],
             controller.shaper.clock.step,
-            (settings.start_ramp, fall),
+            settings.start_ramp,
+            LIMIT_RAMP if phase is Phase.LIMIT_STOP else settings.stop_ramp,
             settings.max_tracking_error,
             is_computing=phase in COMPUTING_PHASES and not self.dry_run.is_active,
         )

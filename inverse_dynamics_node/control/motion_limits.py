@@ -4,7 +4,7 @@ Notices an arm that runs away, and keeps efforts from driving joints beyond thei
 The efforts are right only if the model, the signs and the order of the joints are right. Four
 observations show that something is wrong: a joint is too fast, a position changes faster than the
 joint can move, the velocities of a joint contradict its positions, and the arm is too far from
-its reference. `MotionLimits` makes the first three, and the controller makes the last. Each of
+its reference. `MotionLimits` makes the first three, and `Supervisor` makes the last. Each of
 them is the reason for a limit stop. In a limit stop, the efforts fall to zero within `LIMIT_RAMP`
 and are not damped, because the sign of a command may be what is wrong.
 """
@@ -49,11 +49,18 @@ _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, 
 # the smaller of their speeds, so that a single wrong velocity does not increase it. The largest
 # product counts, and fades within about a second.
 _LONGEST_PAUSE = 0.1  # [s]
-# Rows of `MotionLimits._rows`. Each column belongs to a commanded joint.
-_ROWS = 15
-_INDEX, _SPEED, _IS_CONTINUOUS, _TIME, _POSITION, _VELOCITY, _SHARE = range(7)
+# A change of position is a step of the efforts, not motion, if it is faster than this multiple of
+# the speed limit. Messages may be late by _LATENESS, but not after a pause of _LONGEST_PAUSE. The
+# speed limit is taken to be within _SPEEDS: at least, by default, and at most.
+_FACTOR, _LATENESS = 2.0, 0.03  # [speed limits], [s]
+_SPEEDS = {True: (0.1, 2.0, 5.0), False: (1.0, 10.0, 30.0)}  # [m/s] if prismatic, else [rad/s]
+_LARGEST_STEP = 1e6  # [rad or m]; larger steps are cut to this size
+# Rows of `MotionLimits._rows`. The first m columns belong to the commanded joints.
+_ROWS = 19
+_INDEX, _SPEED, _IS_CONTINUOUS, _FASTEST, _TIME, _POSITION, _VELOCITY, _SHARE = range(8)
 # The history of a joint; see `observe_joints`.
-_JUMPS, _PACE, _OVER, _WAY, _INTEGRAL, _ALLOWANCE, _ROOM_ABOVE, _ROOM_BELOW = range(7, _ROWS)
+_ABOVE, _BELOW, _JUMPS, _PACE, _OVER, _WAY = range(8, 14)
+_INTEGRAL, _ALLOWANCE, _ROOM_ABOVE, _ROOM_BELOW, _IS_KNOWN = range(14, _ROWS)
 
 
 class Finding(enum.IntEnum):
@@ -66,11 +73,20 @@ class Finding(enum.IntEnum):
     ALTERNATION = 4
 
 
-class Problem(NamedTuple):
-    """What is wrong with the motion, and a sentence about it."""
+class Observation(NamedTuple):
+    """What a joint state shows, compared with those before it."""
 
     finding: Finding
+    """What is wrong with the motion of a commanded joint."""
     text: str
+    """A sentence about it, or ''."""
+    has_moved: bool
+    """Whether a commanded joint has moved too fast for a motion."""
+    has_jumped: bool
+    """Whether any joint of the robot has moved too fast for a motion."""
+
+
+_NOTHING = Observation(Finding.NOTHING, '', has_moved=False, has_jumped=False)
 
 
 class MotionLimits:
@@ -89,6 +105,9 @@ class MotionLimits:
     A one-sided spring and damper keeps each joint from its position limits. It begins ``margin``
     before the limit. It never pulls towards the limit, so it takes energy out of the motion.
 
+    A change of position at more than twice the speed limit is no motion: the efforts would step.
+    This is the only thing that is observed of the joints that are not commanded.
+
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
     """
@@ -96,15 +115,23 @@ class MotionLimits:
     def __init__(self, dynamics: InverseDynamics, index: list[int]) -> None:
         self._dynamics, self._index = dynamics, index
         robot = dynamics.robot
-        self._rows = np.zeros((_ROWS, len(index)))
-        self._rows[_INDEX], self._rows[_IS_CONTINUOUS] = index, robot.is_continuous[index]
+        joints = [*index, *(i for i in range(len(robot.joint_names)) if i not in index)]
+        self._rows = np.zeros((_ROWS, len(joints)))
+        self._rows[_INDEX], self._rows[_IS_CONTINUOUS] = joints, robot.is_continuous[joints]
+        for k, i in enumerate(joints):
+            least, usual, most = _SPEEDS[bool(robot.is_prismatic_joint[i])]
+            speed = robot.velocity_limits[i]
+            self._rows[_FASTEST, k] = min(max(least, speed if speed < math.inf else usual), most)
+        self._rows[_TIME] = -math.inf
+        self._commanded = self._rows[:, : len(index)]  # a view
         self._found = np.zeros(2)
         self._all = np.ones(len(robot.joint_names), dtype=bool)
         self._none = np.zeros(len(index))
         self.configure(robot.velocity_limits[index], 0.5, self._none, self._none)
         self.reset()
         compile_for(
-            observe_joints, 'i8(f8[:,::1], f8[::1], f8[::1], f8[::1], b1[::1], f8, f8[::1])'
+            observe_joints,
+            'UniTuple(i8, 2)(f8[:,::1], i8, f8[::1], f8[::1], f8[::1], b1[::1], f8, f8[::1])',
         )
         compile_for(restrain, 'b1(f8[:,::1], f8[::1], f8[::1], f8, f8)')
 
@@ -118,21 +145,20 @@ class MotionLimits:
 
         """
         robot = self._dynamics.robot
-        self._rows[_SPEED], self._guiding = speed, guiding
+        self._commanded[_SPEED], self._guiding = speed, guiding
         self._stiffness = stiffness
         self._lower = robot.lower[self._index] + margin
         self._upper = robot.upper[self._index] - margin
         self._has_springs = bool((stiffness > 0.0).any())
 
     def reset(self) -> None:
-        """Forget the motion so far."""
-        self._rows[_TIME] = -math.inf
-        self._rows[_JUMPS] = 0.0
+        """Forget the motion so far, but not the positions."""
+        self._rows[[_IS_KNOWN, _JUMPS]] = 0.0
         self._rows[_SHARE] = 1.0
 
-    def observe(self, state: State, *, is_following: bool) -> Problem | None:
+    def observe(self, state: State, *, is_following: bool) -> Observation:
         """
-        Compare a joint state with the limits, and return what is wrong.
+        Compare a joint state with the limits, and with the joint states before it.
 
         The same state may be given again. ``is_following`` says whether the arm follows a
         reference.
@@ -140,12 +166,21 @@ class MotionLimits:
         """
         factor = _OVERSHOOT if is_following else 2.0 * self._guiding
         has_velocity = self._all if state.has_velocity is None else state.has_velocity
-        finding = Finding(
-            observe_joints(
-                self._rows, state.q, state.qd, state.times, has_velocity, factor, self._found
-            )
+        found, jump = observe_joints(
+            self._rows,
+            len(self._index),
+            state.q,
+            state.qd,
+            state.times,
+            has_velocity,
+            factor,
+            self._found,
         )
-        return self._describe(finding, factor) if finding else None
+        if not found and not jump:
+            return _NOTHING
+        finding = Finding(found)
+        text = self._describe(finding, factor) if finding else ''
+        return Observation(finding, text, jump > 1, jump > 0)
 
     def restrain(
         self, state: State, tau: Floats, added: Floats, step: float, *, is_following: bool
@@ -180,7 +215,7 @@ class MotionLimits:
         pushing: Floats = -side * np.maximum(0.0, side * (self._stiffness * depth + damping * qd))
         return pushing
 
-    def _describe(self, finding: Finding, factor: float) -> Problem:
+    def _describe(self, finding: Finding, factor: float) -> str:
         k, value, robot = int(self._found[0]), float(self._found[1]), self._dynamics.robot
         name = robot.joint_names[self._index[k]]
         unit = 'm' if robot.is_prismatic_joint[self._index[k]] else 'rad'
@@ -201,48 +236,78 @@ class MotionLimits:
             )
         if finding is not Finding.JUMP:
             self.reset()
-        return Problem(finding, text)
+        return text
 
 
 @compiled
 def observe_joints(
-    rows: Any, q: Any, qd: Any, times: Any, has_velocity: Any, factor: float, found: Any
-) -> int:
+    rows: Any,
+    m: int,
+    q: Any,
+    qd: Any,
+    times: Any,
+    has_velocity: Any,
+    factor: float,
+    found: Any,
+) -> tuple[int, int]:
     """
-    Follow the motion of the commanded joints, and return a `Finding`.
+    Follow the motion of the joints; return a `Finding` and a jump.
 
-    ``rows`` has one column for each commanded joint. ``q``, ``qd``, ``times`` and ``has_velocity``
-    have one value for each joint of the robot. ``factor`` is the stop limit, as a multiple of the
-    speed limit. ``found`` receives the number of the joint, and its speed [rad/s or m/s] or its
-    change of position [rad or m]. The rows of the history are:
+    The jump is 2 if one of the ``m`` commanded joints has moved too fast for a motion, 1 if only
+    another joint has, and otherwise 0.
 
+    ``rows`` has one column for each joint, commanded joints first. ``q``, ``qd``, ``times`` and
+    ``has_velocity`` have one value for each joint of the robot. ``factor`` is the stop limit, as a
+    multiple of the speed limit. ``found`` receives the number of the joint, and its speed
+    [rad/s or m/s] or its change of position [rad or m]. The rows of the history are:
+
+    - `_ABOVE`, `_BELOW`: how far the joint may move in each direction before it moves too fast for
+      a motion; grows at `_FACTOR` times the speed limit, and shrinks as the joint moves
     - `_JUMPS`: the number of jumps within about a second
     - `_PACE`: the velocity, or that of the positions if no velocity is measured
     - `_OVER`: the time for which the velocity has exceeded the stop limit
     - `_WAY`, `_INTEGRAL`, `_ALLOWANCE`: change of position, integral of the velocity, and the
       permitted difference, over about a second
-    - `_ROOM_ABOVE`, `_ROOM_BELOW`: how far the joint may move in each direction; the room grows
-      at the stop limit, and shrinks as the joint moves in this direction
+    - `_ROOM_ABOVE`, `_ROOM_BELOW`: like `_ABOVE` and `_BELOW`, for the stop limit and for states
+      that are delayed for longer
+    - `_IS_KNOWN`: 0 if the rows from `_JUMPS` on have to begin anew
 
     """
-    finding = 0
+    finding, jump = 0, 0
     for k in range(rows.shape[1]):
         i = int(rows[_INDEX, k])
         elapsed = times[i] - rows[_TIME, k]
-        if elapsed == 0.0:
+        if elapsed == 0.0 and q[i] == rows[_POSITION, k]:
             continue
-        speed, velocity, last = rows[_SPEED, k], qd[i], rows[_VELOCITY, k]
-        step = q[i] - rows[_POSITION, k]
+        velocity, last = qd[i], rows[_VELOCITY, k]
+        step = min(max(q[i] - rows[_POSITION, k], -_LARGEST_STEP), _LARGEST_STEP)
+        if rows[_IS_CONTINUOUS, k] != 0.0 and abs(step) < _LARGEST_STEP:
+            step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
         rows[_TIME, k], rows[_POSITION, k], rows[_VELOCITY, k] = times[i], q[i], velocity
+        most = _FACTOR * rows[_FASTEST, k]
+        if elapsed == math.inf:
+            rows[_ABOVE, k] = rows[_BELOW, k] = most * _LATENESS
+        else:
+            is_late = not 0.0 <= elapsed <= _LONGEST_PAUSE
+            gained = most * min(max(elapsed, 0.0), _LONGEST_PAUSE)
+            above = gained - step + (0.0 if is_late else rows[_ABOVE, k])
+            below = gained + step + (0.0 if is_late else rows[_BELOW, k])
+            most *= 0.0 if is_late else _LATENESS
+            rows[_ABOVE, k] = min(max(above, 0.0), most)
+            rows[_BELOW, k] = min(max(below, 0.0), most)
+            if min(above, below) < 0.0:
+                jump = max(jump, 2 if k < m else 1)
+        if k >= m:
+            continue
+        speed = rows[_SPEED, k]
         room = 2.0 * speed * _BURST + _COARSE
-        if not 0.0 <= elapsed <= _LONGEST:
+        if rows[_IS_KNOWN, k] == 0.0 or not 0.0 <= elapsed <= _LONGEST:
+            rows[_IS_KNOWN, k] = 1.0
             rows[_PACE:_ROOM_ABOVE, k] = 0.0
             rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)  # old states may follow
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
             continue
         rows[_JUMPS, k] = max(0.0, rows[_JUMPS, k] - elapsed)
-        if rows[_IS_CONTINUOUS, k] != 0.0:
-            step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
         if abs(step) > room:
             rows[_PACE:_ROOM_ABOVE, k] = 0.0
             rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)
@@ -280,7 +345,7 @@ def observe_joints(
         bound = _LEAST_ERROR + _RELATIVE_ERROR * max(abs(way), abs(integral)) + allowance
         if finding < 2 and not abs(way - integral) <= bound:
             finding, found[0], found[1] = 2, k, way
-    return finding
+    return finding, jump
 
 
 @compiled
@@ -288,13 +353,13 @@ def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> 
     """
     Reduce efforts that drive joints at their speed limits; return whether any was reduced.
 
-    ``added`` is changed in place. ``factor`` is the limit as a multiple of the speed limit. An
-    effort returns slowly, within `_RETURN`, so that it does not chatter. ``elapsed`` is the time
-    step of ramps [s].
+    ``added`` has one value for each commanded joint, and is changed in place. ``factor`` is the
+    limit as a multiple of the speed limit. An effort returns slowly, within `_RETURN`, so that it
+    does not chatter. ``elapsed`` is the time step of ramps [s].
 
     """
     is_reduced = False
-    for k in range(rows.shape[1]):
+    for k in range(len(added)):
         limit, pace = factor * rows[_SPEED, k], rows[_PACE, k]
         effort = tau[int(rows[_INDEX, k])] + added[k]
         is_driving = effort * pace > 0.0

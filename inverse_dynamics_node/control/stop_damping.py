@@ -9,9 +9,9 @@ import numpy as np
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import JointStateError
 from ..robot.model import Floats
-from .command_shaping import ramp_fraction
 from .joint_states import State
 from .settings import Settings
+from .shaping import ramp_fraction
 
 AT_REST = 'the arm is at rest'
 """The usual reason why the damping ends."""
@@ -50,8 +50,7 @@ class StopDamping:
         self._dynamics, self._index = dynamics, index
         self.is_active = False
         """Whether the motion is damped, now or from the next command on."""
-        self.report = ''
-        """Reason why the damping has ended; whoever reads the reason resets it to ''."""
+        self._report = ''
         self._scale = self.limits = np.zeros(len(index))
         self._longest = 0.0  # [s]; longest recent interval between commands
         self._passed = -1.0  # [s] since the first command of the stop; at first negative
@@ -72,14 +71,19 @@ class StopDamping:
         """
         self._scale, self.limits, self._longest = scale, limits, 0.0
         self.is_active = settings.stop_damping > 0.0
-        self._settings, self._passed, self.report = settings, -1.0, ''
+        self._settings, self._passed, self._report = settings, -1.0, ''
         self._applied, self._is_new, self._reversals = 0.0, True, 0
         self._direction = np.zeros(len(self._index))
         self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
-        """End the damping until the next stop begins."""
-        self.is_active, self.report = False, report or self.report
+        """End the damping until the next stop begins; ``report`` says why, if it matters."""
+        self.is_active, self._report = False, report or self._report
+
+    def take_report(self) -> str:
+        """Return why the damping has ended since the last call, or ''."""
+        report, self._report = self._report, ''
+        return report
 
     def fall(self) -> None:
         """Let the damping fall to zero at once; it rises again within the stop ramp."""

@@ -1,13 +1,18 @@
-"""Decides whether efforts may be computed and sent."""
+"""Decides whether efforts may be computed and sent, and whether a reference is followed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import enum
 import math
 
+import numpy as np
+
 from ..robot.model import Floats
-from .command_shaping import StopRamp
 from .joint_states import State
+from .laws import Law, Reference
+from .settings import Settings
+from .shaping import StopRamp
 
 _LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
 _TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the next state
@@ -106,50 +111,127 @@ class DryRun:
         return self._last
 
 
-class StateSupervisor:
+class Supervisor:
     """
-    Decides whether efforts may be computed.
+    Decides what each command does: the phase of the controller.
 
-    No efforts are computed before the first complete joint state, while joint states are lost, or
-    while the controller is stopped. Joint states are considered lost while the latest state is too
-    old or inconsistent, and for a recovery time afterwards. Without the recovery time,
-    intermittent states would shake the arm. A loss that ends before the efforts have fallen
-    noticeably needs no recovery time.
+    No efforts are computed before the first complete joint state, while joint states are lost,
+    while the controller is stopped, and after a limit stop. Joint states are considered lost while
+    the latest state is too old or inconsistent, and for a recovery time afterwards. Without the
+    recovery time, intermittent states would shake the arm. A loss that ends before the efforts
+    have fallen noticeably needs no recovery time.
+
+    ``joints`` and ``units`` are the names of the m commanded joints and the units of their
+    positions.
 
     """
 
-    def __init__(self) -> None:
+    def __init__(self, joints: Sequence[str], units: Sequence[str]) -> None:
+        self._joints, self._units = joints, units
         self.phase = Phase.WAITING
         """Phase of the last command."""
         self.is_stopping = False
         """Whether a stop has been requested; the efforts may still be ramping down."""
         self.limit_stop = ''
         """Why the motion limits have stopped the arm; '' if they have not."""
+        self._is_near = False  # whether the arm has been near the reference that it follows
         self._lost_gain = 0.0  # gain at which the states were lost
         self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
         self._fresh_since = math.inf  # arrival time of the first state after the last gap
 
+    def apply(self, settings: Settings, law: Law) -> None:
+        """Change the settings and the law."""
+        self._settings, self._law = settings, law
+
     def start(self) -> None:
-        """Return to the phase `WAITING`, and clear a requested stop and a limit stop."""
-        self.is_stopping, self.limit_stop, self.phase = False, '', Phase.WAITING
+        """Return to the phase `WAITING`, and end a stop and a limit stop."""
+        self.resume()
+        self.phase = Phase.WAITING
 
-    def blocking_phase(
-        self, now: float, state: State | None, timeout: float, gain: float
-    ) -> Phase | None:
+    def stop(self) -> None:
+        """Stop until `resume`."""
+        self.is_stopping = True
+
+    def stop_at_limit(self, reason: str) -> None:
+        """Begin a limit stop, which lasts until `resume`; ``reason`` is a sentence."""
+        self.limit_stop = reason
+
+    def resume(self) -> bool:
+        """End a stop and a limit stop; return whether there was one."""
+        was_stopped = self.is_stopping or bool(self.limit_stop)
+        self.is_stopping, self.limit_stop = False, ''
+        return was_stopped
+
+    def decide(
+        self,
+        now: float,
+        state: State | None,
+        reference: Reference | None,
+        gain: float,
+        *,
+        is_live: bool = True,
+    ) -> Phase:
         """
-        Return the phase that prevents the computation of efforts, if any.
+        Decide the phase of the next command.
 
-        A state is too old when its age exceeds ``timeout`` [s]. ``gain`` is the factor for the
-        computed efforts, from 0 to 1.
+        ``now`` is the time [s], and ``gain`` the factor for the computed efforts, from 0 to 1.
+        Unless ``is_live``, an arm that falls behind its reference is not stopped.
 
         """
+        was_near, self._is_near = self._is_near, False
+        timeout = self._settings.state_timeout
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
-            return Phase.WAITING
-        if self.limit_stop:
+            self.phase = Phase.WAITING
+        elif self.limit_stop:
+            self.phase = Phase.LIMIT_STOP
+        elif self.is_stopping:
+            self.phase = Phase.STOPPED
+        elif self._is_lost(now, state, timeout, gain):
+            self.phase = Phase.STATE_LOST
+        else:
+            assert state is not None
+            self.phase = self._follow(now, state, reference, stops=was_near and is_live)
+        return self.phase
+
+    def fail(self) -> None:
+        """Record that the law has found no finite efforts."""
+        self.phase = Phase.NO_SOLUTION
+
+    def _follow(
+        self, now: float, state: State, reference: Reference | None, *, stops: bool
+    ) -> Phase:
+        """
+        Decide whether the reference is followed.
+
+        If ``stops`` is true, an arm that has fallen too far behind is stopped.
+
+        """
+        settings, law = self._settings, self._law
+        without_reference = Phase.HOLDING if law.holds else Phase.FLOATING
+        if reference is None or not law.uses_reference:
+            return without_reference
+        # The age may be negative after the clock was set back.
+        if not 0.0 <= now - reference.time <= (settings.reference_timeout or math.inf):
+            return without_reference
+        limit, positions = settings.max_tracking_error, reference.positions
+        if not limit or not law.is_closed or positions is None:
+            return Phase.RUNNING
+        behind = np.abs(law.distance(law.measured(state), positions))
+        ahead = behind
+        if law.equilibrium is not None:
+            ahead = np.abs(law.distance(law.equilibrium, positions))
+        if ahead.max() > limit:
+            return Phase.HOLDING_TOO_FAR if law.holds else Phase.TOO_FAR
+        k = int(np.argmax(behind))
+        self._is_near = behind[k] <= limit
+        if not self._is_near and stops:
+            unit = self._units[k]
+            self.stop_at_limit(
+                f'{self._joints[k]} is {behind[k]:.3g} {unit} from its reference, limit '
+                f'{limit:g} {unit}'
+            )
             return Phase.LIMIT_STOP
-        if self.is_stopping:
-            return Phase.STOPPED
-        return Phase.STATE_LOST if self._is_lost(now, state, timeout, gain) else None
+        return Phase.RUNNING
 
     def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
         """Return whether joint states are lost, or newer than ``now`` after a clock jump."""

@@ -85,13 +85,13 @@ def apply_configuration(
     }
     if not changed.isdisjoint(_DRIVES):
         _apply_drives(loop, configuration, of_joint)
-    loop.loads.apply(configuration, configuration.include_gravity)
+    loop.loads.include(gravity=configuration.include_gravity)
     loop.measured_gravity = configuration.measured_gravity
     loop.external_effort_estimator.scale[loop.index] = of_joint['measured_effort_scale']
     if before is not None and 'gravity' in changed and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
     # This call also blends in the changes above.
-    loop.controller.apply(configuration)
+    loop.apply(configuration)
 
 
 def _apply_drives(

@@ -16,8 +16,8 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from ..control.control_law import Reference
 from ..control.joint_states import JointStateCollector, Layout
+from ..control.laws import Reference
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
@@ -141,7 +141,7 @@ class Inputs:
     def _on_payload(self, message: InertiaStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
             link, mass, com, inertia = _read_payload(message)
-            if loop.set_payload(link, mass, com, inertia):
+            if loop.loads.set_payload(link, mass, com, inertia):
                 place = f'on link {link!r}'
                 text = f'payload of {mass:g} kg {place}' if mass else f'payload {place} removed'
                 self._log.report_message('~/payload', text, is_problem=False)
@@ -152,7 +152,7 @@ class Inputs:
         def store(loop: ControlLoop, now: float) -> None:
             link, wrench = message.header.frame_id, message.wrench
             force, moment = _read_vector(wrench.force), _read_vector(wrench.torque)
-            if loop.set_external_wrench(now, link, force, moment):
+            if loop.loads.set_external_wrench(now, link, force, moment):
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m act on link '
                     f"'{link}' until {self._runner.configuration.wrench_timeout:g} s after the "
@@ -172,7 +172,7 @@ class Inputs:
             if loop.has_imu:
                 raise ConfigurationError('the IMU measures gravity (base_motion: imu)')
             gravity = _read_vector(message.vector)
-            loop.set_gravity(now, gravity)
+            loop.loads.set_gravity(gravity, now)
             self._report_gravity(loop, gravity)
 
         self._handle('~/gravity', store)
@@ -202,7 +202,7 @@ class Inputs:
 
         def store(loop: ControlLoop, now: float) -> None:
             self._use_parameters(loop)
-            loop.set_base_motion(now, *_read_imu(message, self._R_BS))
+            loop.loads.set_base_motion(now, *_read_imu(message, self._R_BS))
             if self._checked_imu != (loop, message.header.frame_id):
                 self._checked_imu = loop, message.header.frame_id
                 text = describe_imu_frame(loop, message.header.frame_id, self._R_BS)

@@ -78,7 +78,7 @@ class Outputs:
                 joints, motion = loop.controller.joints, loop.drive_reference()
                 self._publish_efforts(self._joint_commands, joints, sent, *motion)
             else:
-                loop.drive.weight = 0.0  # the reference is ramped in for a later subscriber
+                loop.drive.reset()  # the reference is ramped in for a later subscriber
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)

@@ -137,12 +137,11 @@ class LoopRunner:
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
-        self._report_damping(self.loop)
+        self._report_damping(command.end_of_damping)
         self.log.report_step(now, self.loop, command)
-        if self.loop.collector.lost_velocities:
+        if command.lost_velocities:
             publishers = self.graph.publishers('joint_states')
-            self.log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
-            self.loop.collector.lost_velocities = []
+            self.log.report_lost_velocities(command.lost_velocities, publishers)
         if self.loop.controller.phase in COMPUTING_PHASES:
             self._publish_external_efforts(self.loop)
 
@@ -277,7 +276,8 @@ class LoopRunner:
                 try:
                     read_joint_state()
                 except Exception as error:  # perhaps the error that caused the stop
-                    damping.end(f'an error in the program ({error!r})')
+                    damping.end()
+                    self._report_damping(f'an error in the program ({error!r})')
                 has_state = period or loop.collector.time != last_state
                 if not has_state and self.now() < self._last_step + self._watch_period:
                     continue
@@ -287,15 +287,14 @@ class LoopRunner:
             command = loop.step(now)
             assert command is not None
             self._publish(now, command)
-            self._report_damping(loop)
+            self._report_damping(command.end_of_damping)
 
-    def _report_damping(self, loop: ControlLoop) -> None:
+    def _report_damping(self, report: str) -> None:
         """Log why the stop damping has ended, if it has."""
-        report = loop.controller.stop_damping.report
         if not report:
             return
-        loop.controller.stop_damping.report = ''
-        text = f'stop damping ended{" (dry run)" * loop.dry_run.is_active}: {report}'
+        assert self.loop is not None
+        text = f'stop damping ended{" (dry run)" * self.loop.dry_run.is_active}: {report}'
         if report == AT_REST:
             self._node.get_logger().info(text)
         else:

@@ -3,7 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
+from inverse_dynamics_node.control.motion_limits import MotionLimits
 from inverse_dynamics_node.control.settings import Mode, Settings
 from inverse_dynamics_node.control.supervision import Phase
 from kinematics import assert_close
@@ -20,6 +21,7 @@ def efforts(dynamics, q, qd, reference=None, before=None, **settings):
     controller = UnobservedController(dynamics, (), Settings(**NO_LIMITS, **settings))
     if before is not None:
         controller.step(0.0, joint_state(before, np.zeros(len(q)), 0.0), None)
+        controller.motion_limits = MotionLimits(dynamics, controller._index)  # no jump to `q`
     found = controller.step(0.01, joint_state(q, qd, 0.01), reference).efforts.copy()
     assert controller.phase is not Phase.NO_SOLUTION
     return found

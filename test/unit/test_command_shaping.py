@@ -1,6 +1,6 @@
 """Ramps advance by at most one nominal step in one command, and interruptions are blended."""
 
-from inverse_dynamics_node.control.command_shaping import add_within, RampClock
+from inverse_dynamics_node.control.shaping import add_within, RampClock
 import numpy as np
 import pytest
 

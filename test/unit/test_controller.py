@@ -3,7 +3,7 @@
 import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.supervision import Phase, recovery_time
 import numpy as np
@@ -46,7 +46,7 @@ def test_gives_no_command_before_the_first_state():
     assert lift.step(0.0, None, reference(0.0, [1.0, 1.0])) is None
     assert lift.phase is Phase.WAITING
     assert lift.has_effort is False
-    assert lift.stop_damping.report == ''
+    assert lift.end_of_damping == ''
 
 
 def test_holds_gravity_without_a_reference():

@@ -64,8 +64,10 @@ def test_a_payload_acts_until_it_is_removed(loads, dynamics):
 def test_gravity_jumps_unless_messages_arrive_often_and_differ_little(
     loads, dynamics, change, elapsed, may_jump
 ):
-    assert loads.set_gravity((0.0, 3.0, -9.0), 1.0)
-    assert loads.set_gravity((0.0, 3.0 + change, -9.0), 1.0 + elapsed) is may_jump
+    loads.set_gravity((0.0, 3.0, -9.0), 1.0)
+    assert loads.update(1.0)
+    loads.set_gravity((0.0, 3.0 + change, -9.0), 1.0 + elapsed)
+    assert loads.update(1.0 + elapsed) is may_jump
     assert dynamics.gravity == pytest.approx([0.0, 3.0 + change, -9.0])
 
 
@@ -92,8 +94,8 @@ def test_a_wrench_that_was_not_renewed_in_time_is_a_jump(dynamics):
 
 def test_the_motion_of_the_base_replaces_gravity(loads, dynamics):
     assert not loads.is_base_known(0.0)
-    assert loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
-    loads.update(0.0)
+    loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
+    assert loads.update(0.0)
     other = InverseDynamics(load_urdf(STANFORD), DOWN)
     other.set_base_motion((0.1, 0.2, 0.3), linear_acceleration=np.array([1.0, 2.0, 9.0]) + DOWN)
     assert dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
@@ -102,17 +104,21 @@ def test_the_motion_of_the_base_replaces_gravity(loads, dynamics):
 
 def test_a_lost_imu_keeps_gravity_and_ends_the_rotation_of_the_base(loads, dynamics):
     loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
+    assert loads.update(0.0)
     assert not loads.update(0.2)
     assert loads.update(0.3)
     assert not loads.update(0.4)
     other = InverseDynamics(load_urdf(STANFORD), (-1.0, -2.0, -9.0))
     assert dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
-    assert loads.set_base_motion(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+    loads.set_base_motion(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+    assert loads.update(1.0)
 
 
 def test_the_motion_of_the_base_is_filtered(loads):
     loads.set_base_motion(0.0, (0.0, 0.0, 10.0), (0.5, 0.0, 0.0))
-    assert not loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.5, 0.0, 0.0))
+    loads.update(0.0)
+    loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.5, 0.0, 0.0))
+    assert not loads.update(0.01)
     fraction = 1.0 - math.exp(-2.0 * math.pi * 20.0 * 0.01)
     assert loads.gravity[2] == pytest.approx(-10.0 - fraction)
     other = InverseDynamics(load_urdf(STANFORD), (0.0, 0.0, -10.0 - fraction))
@@ -121,12 +127,12 @@ def test_the_motion_of_the_base_is_filtered(loads):
 
 
 def test_without_gravity_neither_it_nor_the_base_accelerates(loads, dynamics):
-    loads.apply(Settings(), include_gravity=False)
+    loads.include(gravity=False)
     loads.set_gravity((0.0, 3.0, 0.0))
     loads.update(9.0)
     loads.update(19.0)
     assert not dynamics.gravity_efforts(Q).any()
-    loads.apply(Settings(), include_gravity=True)
+    loads.include(gravity=True)
     assert dynamics.gravity == pytest.approx([0.0, 3.0, 0.0])
 
 
@@ -244,7 +250,8 @@ def test_the_largest_values_are_accepted(loads):
     assert loads.set_payload(TIP, 1e9, np.zeros(3), INERTIA)
     loads.set_external_wrench(0.0, TIP, (1e9, 0.0, 0.0), (0.0, -1e9, 0.0))
     loads.set_gravity((0.0, 100.0, 0.0))
-    assert loads.set_base_motion(0.0, (0.0, 0.0, -500.0), (500.0, 0.0, 0.0))
+    loads.set_base_motion(0.0, (0.0, 0.0, -500.0), (500.0, 0.0, 0.0))
+    assert np.isfinite(loads.dynamics.gravity_efforts(Q)).all()
 
 
 def test_without_an_imu_the_base_is_never_lost(dynamics):
@@ -252,25 +259,17 @@ def test_without_an_imu_the_base_is_never_lost(dynamics):
     assert not any(loads.update(now) for now in (0.0, 0.1, 5.0))
 
 
-def test_a_gap_in_the_imu_messages_is_a_loss_even_without_a_step(loads):
-    loads.set_base_motion(100.0, (0.0, 0.0, 9.0), np.zeros(3))
-    assert not loads.set_base_motion(100.0, (0.0, 0.0, 9.0), np.zeros(3))
-    assert not loads.set_base_motion(100.1, (0.0, 0.0, 9.0), np.zeros(3))
-    assert loads.is_base_known(100.2)
-    assert loads.set_base_motion(100.4, (0.0, 0.0, 9.0), np.zeros(3))
-
-
-def test_the_time_out_of_the_imu_includes_its_end(dynamics):
-    loads = ExternalLoads(dynamics)
-    loads.set_base_motion(0.0, (0.0, 0.0, 9.0), np.zeros(3))
-    assert loads.is_base_known(IMU_TIMEOUT)
-    assert not loads.set_base_motion(IMU_TIMEOUT, (0.0, 0.0, 9.0), np.zeros(3))
-
-
-def test_the_imu_filter_restarts_when_the_clock_is_set_back(loads):
+@pytest.mark.parametrize(
+    ('elapsed', 'may_jump'),
+    [(0.0, False), (0.1, False), (0.99 * IMU_TIMEOUT, False), (0.3, True), (-99.0, True)],
+)
+def test_a_gap_in_the_imu_messages_is_a_loss_even_without_a_step(loads, elapsed, may_jump):
     loads.set_base_motion(100.0, (0.0, 0.0, 10.0), np.zeros(3))
-    assert loads.set_base_motion(1.0, (1.0, 0.0, 11.0), np.zeros(3))
-    assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
+    loads.update(100.0)
+    loads.set_base_motion(100.0 + elapsed, (1.0, 0.0, 11.0), np.zeros(3))
+    assert loads.update(100.0 + elapsed) is may_jump
+    if may_jump:  # the filter restarts
+        assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
 
 
 def test_a_wrench_acts_until_its_time_out(dynamics):
@@ -287,11 +286,14 @@ def test_a_wrench_acts_until_its_time_out(dynamics):
 
 def test_other_axes_of_the_imu_restart_the_filter_once(dynamics):
     loads = ExternalLoads(dynamics)
-    assert loads.set_base_motion(1.0, [0.0, 0.0, 9.0], [0.0] * 3)
+    loads.set_base_motion(1.0, [0.0, 0.0, 9.0], [0.0] * 3)
+    assert loads.update(1.0)
     loads.expect_new_signal()
-    assert loads.set_base_motion(1.001, [9.0, 0.0, 0.0], [0.0] * 3)
+    loads.set_base_motion(1.001, [9.0, 0.0, 0.0], [0.0] * 3)
+    assert loads.update(1.001)
     assert loads.gravity.tolist() == [-9.0, 0.0, 0.0]
-    assert not loads.set_base_motion(1.002, [0.0, 0.0, 9.0], [0.0] * 3)
+    loads.set_base_motion(1.002, [0.0, 0.0, 9.0], [0.0] * 3)
+    assert not loads.update(1.002)
     assert loads.gravity[0] < -7.0
 
 

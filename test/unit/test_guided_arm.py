@@ -91,7 +91,7 @@ def test_an_arm_that_is_let_go_stays(name, count, duration):
 def test_an_arm_that_is_touched_slows_down_although_friction_is_given_too_large(name):
     """With friction given 50 % too large, and the default share."""
     arm = guided(name, poses(ROOT / 'test/robots' / f'{name}.urdf', 1)[0], share=1.5)
-    arm.loop.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION, start_ramp=0.0))
+    arm.loop.apply(Settings(mode=Mode.GRAVITY_COMPENSATION, start_ramp=0.0))
     arm.hardware._data.qvel[arm.hardware._order] = SPEED
     arm.run(4.0)
     assert np.abs(arm.qd).max() < 0.5 * SPEED

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
 from inverse_dynamics_node.control.supervision import Phase

@@ -3,7 +3,7 @@
 import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
 import numpy as np

@@ -4,7 +4,7 @@ from dataclasses import replace
 import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status_text import describe_unstable_gains
@@ -333,7 +333,7 @@ def test_joints_that_are_too_light_for_their_gains_are_described():
     store_state(loop.collector, 0.0, NAMES, Q, REST)
     assert describe_unstable_gains(loop) == ''
     inertia = DYNAMICS.mass_matrix(Q)[1, 1]
-    loop.controller.apply(replace(HELD, impedance_damping=(0.0, 1.01 * inertia / 0.005)))
+    loop.apply(replace(HELD, impedance_damping=(0.0, 1.01 * inertia / 0.005)))
     text = describe_unstable_gains(loop)
     assert text == (
         f'{NAMES[1]} may oscillate: with its inertia ({inertia:.2g}) and a delay of 5 ms, '
@@ -343,13 +343,13 @@ def test_joints_that_are_too_light_for_their_gains_are_described():
     )
     for share, is_light in ((0.99, False), (1.01, True)):
         stiffness = (0.0, share * inertia / 0.005**2)
-        loop.controller.apply(replace(HELD, impedance_damping=0.0, stiffness=stiffness))
+        loop.apply(replace(HELD, impedance_damping=0.0, stiffness=stiffness))
         assert bool(describe_unstable_gains(loop)) is is_light
     loop.dynamics.set_armature(inertia)
     assert describe_unstable_gains(loop) == ''
-    loop.controller.apply(replace(HELD, stiffness=1e9, mode=Mode.COMPUTED_TORQUE))
+    loop.apply(replace(HELD, stiffness=1e9, mode=Mode.COMPUTED_TORQUE))
     assert describe_unstable_gains(loop) == ''
-    loop.controller.apply(replace(HELD, kp=(1e6, 1.0), mode=Mode.COMPUTED_TORQUE))
+    loop.apply(replace(HELD, kp=(1e6, 1.0), mode=Mode.COMPUTED_TORQUE))
     text = describe_unstable_gains(loop)
     assert f'{NAMES[0]} may oscillate: with a delay of 5 ms, kd should be at most 2e+02' in text
     assert NAMES[1] not in text

@@ -6,7 +6,7 @@ import tracemalloc
 
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_dynamics_node.control.joint_states import JointStateCollector
+from inverse_dynamics_node.control.joint_states import Events, JointStateCollector
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError
 import numpy as np
 import pytest
@@ -78,22 +78,19 @@ def test_a_velocity_that_disappears_is_awaited_at_first_and_then_zero(collector,
     for now in (1.0, 1.125, 1.2499):
         assert not store_state(collector, now, ['elbow'], [2.5], velocities)
     assert (collector.q[1], collector.qd[1], collector.times[1]) == (2.0, 0.2, 1.0)
-    assert not collector.has_jumped
-    assert (collector.lost_velocities, collector.without_velocity()) == ([], [])
+    assert (events(collector), collector.without_velocity()) == (Events(), [])
     for now in (1.25, 1.26):
         store_state(collector, now, ['elbow'], [2.5], velocities)
-        assert collector.lost_velocities == ['elbow']
+    assert events(collector) == (True, ('elbow',))
     assert (collector.q[1], collector.qd[1], collector.times[1]) == (2.5, 0.0, 1.26)
-    assert collector.has_jumped
     assert collector.without_velocity() == ['elbow']
     # With another layout, whose messages were complete before.
-    collector.lost_velocities, collector.has_jumped = [], False
     store_state(collector, 1.27, ['elbow', 'wrist'], [2.5, 3.0], [0.1, 0.3])
     assert collector.qd.tolist() == [0.0, 0.1, 0.3]
     assert collector.without_velocity() == []
-    assert collector.has_jumped
+    assert events(collector) == (True, ())
     assert not store_state(collector, 1.28, ['elbow'], [2.5], velocities)
-    assert collector.lost_velocities == []
+    assert events(collector) == Events()
 
 
 def test_velocities_that_several_publishers_lose_and_regain_are_noticed_every_time(collector):
@@ -110,11 +107,10 @@ def test_velocities_that_several_publishers_lose_and_regain_are_noticed_every_ti
     for start in (1.0, 2.0, 3.0):
         report(start, 0.1)
         assert collector.without_velocity() == []
-        collector.lost_velocities, collector.has_jumped = [], False
+        events(collector)
         report(start + 0.5, NAN)
-        assert collector.lost_velocities == ['elbow', 'wrist']
+        assert events(collector) == (True, ('elbow', 'wrist'))
         assert collector.without_velocity() == ['elbow', 'wrist']
-        assert collector.has_jumped
 
 
 @pytest.mark.parametrize('before', [[0.2], []], ids=['after a while', 'as the first one'])
@@ -178,10 +174,15 @@ MESSAGES = st.tuples(
 )
 
 
-def contents(collector):
+def events(collector, now=1.0):
+    """Return what has happened since the last call."""
+    return collector.at(now)[1]
+
+
+def contents(collector, now):
     numbers = collector.q, collector.qd, collector.times, collector.efforts
-    lists = collector.lost_velocities, collector.without_velocity(), collector.missing()
-    flags = collector.has_jumped, collector.has_leapt, collector.time, collector.late_count
+    lists = collector.without_velocity(), collector.missing()
+    flags = events(collector, now), collector.time, collector.late_count
     return [x.tolist() for x in np.nan_to_num(numbers, nan=1e9)], lists, flags
 
 
@@ -213,9 +214,7 @@ def test_joints_with_nan_are_stored_as_if_the_message_did_not_name_them(messages
         if kept:
             names, *values = zip(*kept, strict=True)
             store_state(reduced, now, names, *values)
-        assert contents(whole) == contents(reduced)
-        for each in whole, reduced:
-            each.rest_late(now)
+        assert contents(whole, now) == contents(reduced, now)
 
 
 def test_a_commanded_joint_with_nan_becomes_stale_and_no_other_joint_does():
@@ -327,51 +326,33 @@ def hand(locked=None):
     return JointStateCollector(HAND, locked, ['arm'])
 
 
-def test_there_is_no_jump_before_a_joint_was_late_or_locked():
+def test_nothing_happens_before_a_joint_was_late_or_locked():
     collector = hand({'thumb': 0.1})
-    assert (collector.has_jumped, collector.late_count) == (False, 0)
-    collector.rest_late(0.0)
-    assert (collector.has_jumped, collector.late_count) == (False, 0)
+    assert (events(collector, 0.0), collector.late_count) == (Events(), 0)
     store_state(collector, 1.0, HAND[:2], [0.0] * 2, [NAN, NAN])
-    collector.rest_late(1.0)
-    assert (collector.has_jumped, collector.late_count) == (False, 0)
+    assert (events(collector, 1.0), collector.late_count) == (Events(), 0)
 
 
-def test_a_joint_that_becomes_late_or_returns_sets_the_jump_flag_until_it_is_cleared():
+def test_a_joint_that_becomes_late_or_returns_is_an_event():
     collector = hand()
     store_state(collector, 5.0, HAND, [0.0] * 3, [1.0] * 3)
-    collector.rest_late(5.5)
-    assert not collector.has_jumped
+    assert not events(collector, 5.5).has_changed
     store_state(collector, 7.0, ['arm', 'thumb'], [0.0] * 2, [1.0] * 2)
-    collector.rest_late(7.0)
-    assert collector.has_jumped
+    assert events(collector, 7.0).has_changed
     assert collector.late(7.0) == {'finger': 2.0}
     assert collector.qd.tolist() == [1.0, 0.0, 1.0]
-    collector.rest_late(7.1)
-    assert collector.has_jumped
-    collector.has_jumped = False
-    collector.rest_late(7.2)
-    assert not collector.has_jumped
+    assert not events(collector, 7.2).has_changed
     store_state(collector, 7.3, HAND, [0.0] * 3, [1.0] * 3)
-    collector.rest_late(7.3)
-    assert collector.has_jumped
+    assert events(collector, 7.3).has_changed
 
 
-def test_the_first_report_of_a_locked_joint_sets_the_jump_flag_until_it_is_cleared():
+def test_the_first_report_of_a_locked_joint_is_an_event_until_it_is_read():
     collector = hand({'thumb': 0.1})
     store_state(collector, 1.0, HAND[:2], [0.0] * 2, [])
-    assert not collector.has_jumped
+    assert not events(collector).has_changed
     store_state(collector, 1.0, ['thumb'], [0.3], [])
     store_state(collector, 1.1, HAND[:2], [0.0] * 2, [])
-    collector.rest_late(1.1)
-    assert collector.has_jumped
-
-
-def test_a_leap_is_kept_until_it_is_read():
-    collector = hand()
-    for now, q in ((0.0, [0.0] * 3), (0.005, [2.0, 0.0, 0.0]), (0.01, [2.0, 2.0, 0.0])):
-        store_state(collector, now, HAND, q, [])
-    assert collector.has_leapt
+    assert [events(collector, 1.1).has_changed for _ in range(2)] == [True, False]
 
 
 def test_a_locked_joint_that_does_not_exist_is_named_with_those_that_do():

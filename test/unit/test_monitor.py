@@ -5,7 +5,7 @@ import math
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import Command, ControlLoop
 from inverse_dynamics_node.control.monitor import Monitor
 from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings, StalePolicy
@@ -335,7 +335,7 @@ def test_activity_names_the_reason_to_float(loop):
     receive(loop, 1.0)
     loop.step(1.0)
     assert activity(1.0, loop) == 'floating: no reference for more than 0.5 s'
-    loop.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
+    loop.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
     assert 'not used in mode gravity_compensation' in activity(1.0, loop)
 
 
@@ -344,7 +344,7 @@ def test_activity_names_the_reason_to_float(loop):
     [(Mode.COMPUTED_TORQUE, 'floating'), (Mode.JOINT_IMPEDANCE, 'holding position')],
 )
 def test_the_reference_is_judged_by_its_use(loop, mode, doing):
-    loop.controller.apply(Settings(mode=mode, max_tracking_error=0.2))
+    loop.apply(Settings(mode=mode, max_tracking_error=0.2))
     loop.step(0.0)
     assert activity(0.0, loop) == f'{doing}: no reference'
     loop.reference = Reference(REST, REST, 0.02, positions=np.array([0.1, 0.2]))
@@ -366,9 +366,9 @@ def test_activity_names_the_reason_to_stop(loop):
     step_until(loop, 0.0, 0.2)
     reason = f'no joint state of {BOTH} for more than 0.1 s'
     assert activity(0.2, loop) == f'ramping efforts down: {reason}'
-    loop.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
+    loop.apply(Settings(on_stale_state=StalePolicy.HOLD))
     assert activity(0.2, loop) == f'keeping the last efforts: {reason}'
-    loop.controller.apply(Settings())
+    loop.apply(Settings())
     step_until(loop, 0.2, 2.0)
     assert activity(2.0, loop) == f'stopped, zeros sent: {reason}'
     found = part('loop', loop, 2.0)
@@ -380,7 +380,7 @@ def test_activity_names_the_reason_to_stop(loop):
 
 @pytest.mark.parametrize('policy', StalePolicy)
 def test_activity_while_disabled(loop, policy):
-    loop.controller.apply(Settings(on_stale_state=policy))
+    loop.apply(Settings(on_stale_state=policy))
     step_until(loop, 0.0, 0.1)
     loop.controller.stop()
     step_until(loop, 0.1, 0.2)
@@ -420,7 +420,7 @@ def test_an_unknown_motion_of_the_base_is_an_error_of_the_model():
     ):
         found = part('model', loop, now)
         assert (found.level, words in found.message) == (level, True)
-        loop.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
+        loop.loads.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
 
 
 def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(loop):
@@ -497,7 +497,7 @@ def test_locked_and_late_joints_are_named():
 
 def test_loads_and_what_measured_efforts_contain_are_described(loop):
     loop.loads.set_payload(ROBOT.link_names[-1], 2.5, [0.1, 0.0, 0.0], np.zeros((3, 3)))
-    loop.loads.apply(loop.loads.settings, include_gravity=False)
+    loop.loads.include(gravity=False)
     found = part('model', loop)
     assert (found.level, ROBOT.name in found.message) == (OK, True)
     assert found.values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'

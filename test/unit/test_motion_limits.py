@@ -4,7 +4,7 @@ import math
 import re
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
 from inverse_dynamics_node.control.settings import Mode, Settings

@@ -1,11 +1,11 @@
 """Positions that change faster than a joint can move are told from motion, however it arrives."""
 
-from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.joint_states import JointStateCollector
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.control.motion_limits import MotionLimits
 import numpy as np
 import pytest
 from robot_files import ROOT
-from states import store_state
+from states import joint_state
 
 ROBOT = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
 NAMES, N = ROBOT.joint_names, len(ROBOT.joint_names)
@@ -13,15 +13,13 @@ SPEEDS = ROBOT.velocity_limits
 SLIDER = load_urdf(ROOT / 'test/robots/cartesian.urdf')
 
 
-def jumps(times, positions, velocities=(), robot=ROBOT, commanded=()):
+def jumps(times, positions, robot=ROBOT):
     """Report positions; return for each message whether it was a jump."""
-    collector = JointStateCollector(robot.joint_names, {}, commanded, robot)
-    found = []
-    for now, q in zip(times, positions, strict=True):
-        collector.has_jumped = False
-        store_state(collector, float(now), robot.joint_names, q, velocities)
-        found.append(collector.has_jumped)
-    return found
+    limits = MotionLimits(InverseDynamics(robot), [0, 1])
+    return [
+        limits.observe(joint_state(q, 0.0 * q, float(now)), is_following=True).has_jumped
+        for now, q in zip(times, positions, strict=True)
+    ]
 
 
 @pytest.mark.parametrize('rate', [10, 20, 100, 500, 1000])

@@ -52,7 +52,7 @@ class Arm:
 
     @property
     def report(self):
-        return self.controller.stop_damping.report
+        return self.controller.end_of_damping
 
 
 def damping_of(arm, duration):
@@ -183,7 +183,7 @@ def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own()
         if k == 1:
             arm.stop()
     assert arm.stop_damping.is_active
-    assert not arm.stop_damping.report
+    assert not arm.end_of_damping
 
 
 PAUSE = 12  # periods
@@ -201,8 +201,8 @@ def stop_with_pause(begins, reported):
         if k == 5:
             arm.stop()
         arm.step(now, joint_state(Q + sent * qd, reported(k) * qd, now), None)
-        if arm.stop_damping.report:
-            return arm.stop_damping.report, k - 5
+        if arm.end_of_damping:
+            return arm.end_of_damping, k - 5
     return '', 95
 
 

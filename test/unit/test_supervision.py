@@ -1,8 +1,12 @@
 """Dry runs end commands without a step; efforts rise again when lost joint states are back."""
 
-from inverse_dynamics_node.control.supervision import DryRun, Phase, StateSupervisor
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.control.laws import Law
+from inverse_dynamics_node.control.settings import Settings
+from inverse_dynamics_node.control.supervision import DryRun, Phase, Supervisor
 import numpy as np
 import pytest
+from robot_files import ROOT
 from states import joint_state
 
 EFFORTS = np.array([4.0, -2.0])
@@ -92,24 +96,20 @@ def test_a_dry_run_begins_at_once_if_nothing_has_been_sent():
     assert dry_run.select(EFFORTS, DT) is None
 
 
-TIMEOUT = 0.1
-
-
 class Supervised:
     """A supervisor of a controller that has computed efforts for a while."""
 
     def __init__(self):
-        self.supervisor = StateSupervisor()
-        self.supervisor.phase = Phase.RUNNING
+        self.supervisor = Supervisor(['joint'], ['rad'])
+        law = Law(InverseDynamics(load_urdf(ROOT / 'test/robots/planar_2r.urdf')), [0])
+        self.supervisor.apply(Settings(state_timeout=0.1), law)
         self.at(100.0)
         self.at(109.9)
 
     def at(self, time, gain=1.0, age=0.0):
-        """Return whether the states are lost; an age of None is that of no state at all."""
-        state = None if age is None else joint_state(np.zeros(2), np.zeros(2), time - age)
-        lost = self.supervisor.blocking_phase(time, state, TIMEOUT, gain)
-        self.supervisor.phase = lost or Phase.RUNNING
-        return lost is Phase.STATE_LOST
+        """Return whether the states are lost."""
+        state = joint_state(np.zeros(2), np.zeros(2), time - age)
+        return self.supervisor.decide(time, state, None, gain) is Phase.STATE_LOST
 
 
 def test_losses_in_quick_succession_add_up_and_are_forgotten_after_a_while():

@@ -11,7 +11,9 @@ import numpy as np
 
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Booleans, Floats
+from .laws import Law, Reference
 
+_BEGUN = math.nextafter(1.0, 0.0)  # largest fraction of a blend that has begun
 _BRIEF = 0.03  # [s]; after a shorter pause, efforts continue without a blend
 LARGEST = 1e300
 """Largest accepted effort [N m or N]; the sum of two such efforts is finite."""
@@ -137,8 +139,8 @@ class CommandShaper:
     - The stop ramp scales the last command down to zero.
 
     A change during a blend starts a new blend from the last command. The first command of a blend
-    does not advance the blend, unless the previous command also started a blend. The difference
-    therefore fades even if every command starts a blend.
+    repeats the last command, unless that did so too. The difference therefore fades even if every
+    command starts a blend.
 
     A brief pause between calls of `follow` does not start a blend. Otherwise, intermittent joint
     states would start many blends, and each blend first repeats the last command. The commands
@@ -168,8 +170,7 @@ class CommandShaper:
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
         self._left = self._duration = 0.0  # remaining fraction and duration [s] of the blend
-        # First flag: ramps pause at the next command. Second flag: they paused at the last.
-        self._is_paused = self._was_paused = False
+        self._has_repeated = False  # whether the last command was the first of a blend
         self._pause = math.inf  # [s] since the last `follow`; inf: the next starts a blend
         self._stop = StopRamp()
         self._is_damped = False  # whether the last command contains damping
@@ -216,23 +217,25 @@ class CommandShaper:
         if self._way is _Way.FALLING:
             self._pause = math.inf
             return
-        self._duration = max(self._start_ramp, self._left * self._duration)
-        self._left = 1.0 if self._duration > 0.0 else 0.0
-        self._is_paused = self._left > 0.0 and not self._was_paused
         has_followed = self._way is _Way.FOLLOWING and not self._is_new
-        self._is_new = self._left > 0.0
+        self._start_blend()
         if self._is_new and has_followed and tau is not None:
             self._rows[_ADDED] = added
             gain = self.gain if self._start_ramp else 1.0
             if blend_efforts(tau, self._rows, self._flags, gain, 1.0, True, self._has_rates, 0.0):
                 self.gain, self._is_new = gain, False
 
+    def _start_blend(self) -> None:
+        self._duration = max(self._start_ramp, self._left * self._duration)
+        self._left = 1.0 if self._duration > 0.0 else 0.0
+        self._is_new = self._left > 0.0
+
     def reset(self) -> None:
         """Start from zero with the next command."""
         self.command[:] = 0.0
         self.gain = self._left = self._duration = 0.0
         self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
-        self._is_paused = self._was_paused = False
+        self._has_repeated = False
         self.clock.start()
 
     @property
@@ -258,26 +261,30 @@ class CommandShaper:
 
         """
         self._rows[_ADDED] = added
-        gain, left, duration = self.gain, self._left, self._duration
-        is_new, elapsed = self._is_new, self.clock.step
-        if self.continues:
-            if not self._is_paused:
-                gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
-                left = max(0.0, left - elapsed / duration) if left else 0.0
-        else:
-            self._is_paused = False  # the first command of a blend does not advance the blend
-            duration = max(self._start_ramp, left * duration)
-            is_new = duration > 0.0
-            left = 1.0 if is_new else 0.0
-            gain = gain if self._start_ramp else 1.0
+        elapsed, gain = self.clock.step, self.gain
+        is_start = not self.continues
+        if is_start:
+            self._has_repeated = False
+            self._start_blend()
+        left, repeats = self._rest_of_blend()
+        if not repeats:
+            gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
         are_finite: bool = blend_efforts(
-            tau, self._rows, self._flags, gain, left, is_new, self._has_rates, elapsed
+            tau, self._rows, self._flags, gain, left, self._is_new, self._has_rates, elapsed
         )
         if are_finite:
             self._way, self._is_new = _Way.FOLLOWING, False
-            self.gain, self._left, self._duration = gain, left, duration
-            self._was_paused, self._is_paused = self._is_paused, False
+            self.gain, self._left = gain, min(left, _BEGUN)
+            self._has_repeated = repeats and not is_start
         return are_finite
+
+    def _rest_of_blend(self) -> tuple[float, bool]:
+        """Return the fraction of the blend that is left, and whether the command is repeated."""
+        if self._left == 1.0 and not self._has_repeated:
+            return 1.0, True
+        if not self._left:
+            return 0.0, False
+        return max(0.0, self._left - self.clock.step / self._duration), False
 
     def hold(self) -> None:
         """Repeat the last command; efforts beyond a tightened limit fall to the limit."""
@@ -294,9 +301,10 @@ class CommandShaper:
         if self._is_new:
             excess[:] = np.maximum(0.0, np.abs(command) - limit)
             self._is_new, self._pause = False, math.inf
-        if self._left and self._pause > _BRIEF and not self._is_paused:
-            self._left = max(0.0, self._left - elapsed / self._duration)
-        self._was_paused, self._is_paused = self._is_paused, False
+        if self._pause > _BRIEF:
+            self._left, self._has_repeated = self._rest_of_blend()
+        else:
+            self._has_repeated = self._left == 1.0
         change = np.maximum(0.0, np.abs(command) - limit - self._left * excess)
         if self._has_rates:
             change = np.minimum(change, self._rows[_RATE] * elapsed)
@@ -325,7 +333,6 @@ class CommandShaper:
         else:
             self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
             self._way, self._is_new = _Way.FALLING, False
-            self._is_paused = self._was_paused = False
             self._top_gain, self._top_left = self.gain, self._left
             self._stop.begin(self.command, self._stop_ramp)
         if self.time_to_fall > within:
@@ -339,6 +346,72 @@ class CommandShaper:
             limits = self._rows[_LIMIT] if limits is None else limits
             self.command[:] = add_within(self.command, damping, limits)
         self._flags[:] = False
+
+
+class DriveReference:
+    """
+    Computes positions and velocities to send with the efforts.
+
+    A drive with its own gains adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort.
+    While the law follows a reference, the drive receives this reference. Otherwise, the drive
+    receives the measured motion, so that the gains add nothing. One replaces the other gradually,
+    because the gains of the drive are unknown, and may carry a part of the weight of the arm.
+
+    """
+
+    def __init__(self) -> None:
+        self._weight = 0.0  # of the reference; the measured motion has the remaining weight
+        self._positions: Floats = np.zeros(0)
+        self._velocities: Floats = np.zeros(0)
+
+    def reset(self) -> None:
+        """Begin anew with the measured motion."""
+        self._weight = 0.0
+
+    def motion(
+        self,
+        law: Law,
+        q: Floats,
+        qd: Floats,
+        elapsed: float,
+        start_ramp: float,
+        stop_ramp: float,
+        farthest: float,
+        *,
+        is_computing: bool,
+    ) -> tuple[Floats, Floats]:
+        """
+        Return positions [rad or m] and velocities [rad/s or m/s] to send, shape (m,).
+
+        ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). The weight of
+        the reference rises within ``start_ramp`` and falls within ``stop_ramp`` [s]. ``elapsed``
+        is the time step of ramps [s]; see `RampClock`. A reference is not sent if any joint is
+        farther than ``farthest`` [rad or m] from it, or if it jumps farther; 0 means any
+        distance. Unless ``is_computing``, the drive is led to rest at the measured positions.
+
+        """
+        reference = law.followed if is_computing else None
+        if not is_computing:
+            qd = np.zeros_like(qd)
+        if reference is not None and self._accepts(law, q, reference, farthest):
+            self._weight = min(1.0, self._weight + ramp_fraction(elapsed, start_ramp))
+            rest = qd if reference.positions is None else np.zeros_like(qd)
+            self._positions = q.copy() if reference.positions is None else reference.positions
+            self._velocities = rest if reference.velocities is None else reference.velocities
+        else:
+            self._weight = max(0.0, self._weight - ramp_fraction(elapsed, stop_ramp))
+        if not self._weight:
+            return q, qd
+        distance = law.distance(q, self._positions)
+        return q + self._weight * distance, qd + self._weight * (self._velocities - qd)
+
+    def _accepts(self, law: Law, q: Floats, reference: Reference, farthest: float) -> bool:
+        if reference.positions is None or not farthest:
+            return True
+        starts = [q, self._positions] if self._weight else [q]
+        return all(
+            np.abs(law.distance(start, reference.positions)).max() <= farthest for start in starts
+        )
 
 
 def add_within(command: Floats, damping: Floats, limit: Floats) -> Floats:
