@@ -14,21 +14,15 @@ When commands have arrived for 1.5 s and their efforts are steady, the robot fol
 like an arm with a forward_command_controller. When the commands stop, the position controller
 takes over after 0.5 s.
 
-The velocities are supervised: if a joint exceeds twice its velocity limit, the position controller
-brakes the robot and holds it. After that, the robot ignores commands until none has arrived for
-0.5 s. To send commands again, set the parameter dry_run of the node to true, and then back to
-false.
-
 Two topics change the robot without informing the node: ~/payload (geometry_msgs/InertiaStamped)
-attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The service
-~/hold (std_srvs/SetBool) lets the position controller hold the robot while its load is changed, or
-releases the robot. The prefix ~ stands for /simulated_robot.
+attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The prefix ~
+stands for /simulated_robot. While the parameter dry_run of the node is true, no commands arrive,
+and the position controller holds the robot.
 
 The option --driver makes commands, efforts and topics follow the conventions of a driver. If the
 real driver needs a program that forwards commands, the simulated robot takes the commands directly
 from the node. doc/robots.md describes the drivers, and config/robots has a parameter file for each
 driver.
-{drivers}
 
 The robot takes the arguments of ROS. With the parameter joints, the robot takes commands for some
 joints only, in the given order; the others hold their positions.
@@ -48,14 +42,13 @@ exit code: 0 stopped; 1 the robot could not run; 2 invalid arguments."""
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
-    parser = new_parser(
-        'simulate',
-        'Simulate a robot that has the topics of a real one.',
-        EPILOG.format(drivers='\n'.join(map(_line, DRIVERS))),
-    )
+    parser = new_parser('simulate', 'Simulate a robot that has the topics of a real one.', EPILOG)
     parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument(
-        '--driver', metavar='NAME', choices=DRIVERS, help='driver to imitate, from the list below'
+        '--driver',
+        metavar='NAME',
+        choices=DRIVERS,
+        help=f'driver to imitate: {", ".join(DRIVERS)}',
     )
     parser.add_argument(
         '--sway',
@@ -85,17 +78,3 @@ def run(options: argparse.Namespace) -> int:
     arguments += ['-r', f'joint_states:={driver.joint_states}']
     rate = options.rate or driver.rate
     return simulate(options.urdf, driver, rate, arguments, sways=options.sway)
-
-
-def _line(name: str) -> str:
-    """Describe in one line how a driver differs from the default."""
-    driver = DRIVERS[name]
-    parts = {
-        f'takes {driver.form.value}': driver.form is not IDEAL.form,
-        'compensates gravity itself': driver.compensates_gravity,
-        'measures efforts without gravity': not driver.measures_gravity,
-        'takes commands that are not in N m': driver.command_unit != 1.0,
-        'measures efforts that are not in N m': driver.measured_unit != 1.0,
-        'publishes /clock': driver.has_clock,
-    }
-    return f'  {name:20} {"; ".join(part for part, applies in parts.items() if applies)}'

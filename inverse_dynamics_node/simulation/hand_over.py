@@ -1,8 +1,7 @@
 """
 Who moves a simulated robot: its position controller, or the commands.
 
-The position controller holds the robot before commands arrive, after the commands stop, and after
-a joint has moved too fast.
+The position controller holds the robot before commands arrive, and after the commands stop.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..robot.model import Floats, RobotModel
+from ..robot.model import Floats
 from .drivers import Actuation, Command
 
 _SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of revolute and prismatic joints
@@ -23,11 +22,7 @@ GAP = 0.1  # [s]: a longer gap between commands restarts the wait for the hand-o
 SILENCE = 0.5  # [s]: after this time without commands, the position controller takes over
 STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this time
 LONGEST = 10.0  # [s]: after this time, unsteady commands take over too
-SPEED_FACTOR = 2.0  # speed bound divided by velocity limit, because a joint may overshoot
-# Smaller bounds would stop a robot that is pushed by hand. Larger limits are placeholders.
-LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
-COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of the same error
 
 
 class HandOver:
@@ -36,9 +31,8 @@ class HandOver:
 
     The commands take over after they have arrived for ``release`` seconds and their efforts have
     become steady. An earlier hand-over would drop the robot. Commands whose efforts do not become
-    steady take over after `LONGEST` seconds. The position controller takes over when the commands
-    stop, when `hold` is called, or when a joint becomes too fast. It stops the robot where it is,
-    as brakes do. After a joint has become too fast, commands are ignored until they pause.
+    steady take over after `LONGEST` seconds. When the commands stop, the position controller stops
+    the robot where it is, as brakes do, and holds it.
 
     With ``sways``, the position controller moves every joint slowly back and forth until the first
     command arrives. ``log`` is a logger of rclpy or of Python.
@@ -50,11 +44,8 @@ class HandOver:
         self._actuation, self._release, self._log = actuation, release, log
         self._robot = actuation.robot
         model = self._robot.robot
-        self._bounds = velocity_bounds(model)
         self._last_command = self._flow_began = self._steady_since = -math.inf
         self._steady_efforts = np.zeros(len(self._robot.command_names))
-        self._has_fault = self._is_requested = False
-        self._complaint_due = -math.inf
         self._start = self._robot.positions()
         ranges = np.where(model.is_continuous, math.inf, model.upper - model.lower)
         largest = np.where(model.is_prismatic_joint, _SWAY[1], _SWAY[0])
@@ -66,18 +57,6 @@ class HandOver:
         self.is_held = True
         """Whether the position controller holds the robot."""
 
-    def hold(self, wanted: bool, now: float) -> tuple[bool, str]:
-        """Make the position controller hold or release the robot; return success and message."""
-        self._is_requested = wanted
-        self._flow_began = self._steady_since = now
-        if wanted:
-            self._take_over()
-            return True, 'the position controller holds the robot; commands are ignored'
-        if self._has_fault:
-            return False, f'commands are ignored until they pause for {SILENCE} s'
-        message = 'the robot follows the commands when their efforts are steady'
-        return True, f'{message}, at the latest after {LONGEST:g} s of commands'
-
     def command(self, command: Command, now: float) -> None:
         """Handle a complete and finite command that arrives at the time ``now`` [s]."""
         if now - self._last_command > GAP:
@@ -87,7 +66,7 @@ class HandOver:
         self._last_command = now
         if self.is_held:
             self._compare(self._actuation.with_gravity(command.efforts), now)
-            if self._has_fault or self._is_requested or not self._is_due(now):
+            if not self._is_due(now):
                 return
             self.is_held = False
             self._log.info('the robot follows the commands')
@@ -107,19 +86,21 @@ class HandOver:
 
     def advance(self, now: float, duration: float) -> None:
         """Advance the simulation from the time ``now`` by a duration [s]."""
-        if now - self._last_command > SILENCE:
-            self._handle_silence()
-        steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
-        for i in range(steps):
-            self._step(now + i * duration / steps, duration / steps)
-
-    def _handle_silence(self) -> None:
-        if self._has_fault:
-            self._has_fault = False
-            self._log.info('the commands have paused; the robot will follow the next commands')
-        if not self.is_held:
+        if now - self._last_command > SILENCE and not self.is_held:
             self._take_over()
             self._log.info('no commands arrive, so the position controller holds the robot')
+        steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
+        for i in range(steps):
+            if self.is_held:
+                phase = self._frequency * (now + i * duration / steps)
+                self._robot.track(
+                    self._start + self._reach * (1.0 - np.cos(phase)),
+                    self._reach * self._frequency * np.sin(phase),
+                    self._reach * self._frequency**2 * np.cos(phase),
+                )
+            else:
+                self._actuation.act()
+            self._robot.advance(duration / steps)
 
     def _take_over(self) -> None:
         """Stop the robot, and hold it where it is."""
@@ -127,41 +108,3 @@ class HandOver:
         self._robot.stop()
         self._start = self._robot.positions()
         self._reach = np.zeros_like(self._start)
-
-    def _step(self, now: float, duration: float) -> None:
-        if self.is_held:
-            phase = self._frequency * now
-            self._robot.track(
-                self._start + self._reach * (1.0 - np.cos(phase)),
-                self._reach * self._frequency * np.sin(phase),
-                self._reach * self._frequency**2 * np.cos(phase),
-            )
-        else:
-            self._actuation.act()
-        speeds = self._robot.advance_within(duration, self._bounds)
-        if speeds is None:
-            return
-        if now >= self._complaint_due or not self.is_held:
-            self._complaint_due = now + COMPLAINT_PERIOD
-            i = int(np.argmax(speeds / self._bounds))
-            unit = 'm/s' if self._robot.robot.is_prismatic_joint[i] else 'rad/s'
-            self._log.error(
-                f"joint '{self._robot.robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more "
-                f'than {self._bounds[i]:.3g} {unit}, so the position controller brakes the robot '
-                'and holds it. Check signs, units, payloads and effort limits, also with the '
-                'command inverse_dynamics watch. Commands are ignored until they pause for '
-                f'{SILENCE} s, such as while the parameter dry_run of the node is true'
-            )
-        self._has_fault = True
-        self._take_over()
-
-
-def velocity_bounds(robot: RobotModel) -> Floats:
-    """
-    Return the largest permitted speed of each joint, shape (n,) [rad/s or m/s].
-
-    The bounds are twice the velocity limits, clipped to a plausible range.
-    """
-    slides = robot.is_prismatic_joint
-    least, most = (np.where(slides, bound[1], bound[0]) for bound in (LEAST, MOST))
-    return np.asarray(np.clip(SPEED_FACTOR * robot.velocity_limits, least, most))

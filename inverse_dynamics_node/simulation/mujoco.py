@@ -137,27 +137,6 @@ class MujocoRobot:
         if not np.isfinite(self._data.qacc).all():
             raise SimulationError('the simulation became unstable: the efforts are too large')
 
-    def advance_within(self, duration: float, bounds: Floats) -> Floats | None:
-        """
-        Advance the simulation by a short duration [s], unless a joint would become too fast.
-
-        Return None if the simulation has advanced. If a joint would exceed its speed bound,
-        restore the previous state, and return the speeds that the joints would have reached.
-        Speeds and bounds have shape (n,) [rad/s or m/s].
-        """
-        data = self._data
-        before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
-        try:
-            self.advance(duration)
-            speeds = np.abs(self.velocities())
-        except SimulationError:
-            speeds = np.full(len(bounds), np.inf)
-        if (speeds <= bounds).all():
-            return None
-        data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = before
-        mujoco.mj_forward(self._model, data)
-        return speeds
-
     def mass_matrix(self) -> Floats:
         """Return the current mass matrix, including the effect of mimic joints, shape (n, n)."""
         velocities = self._coupling.T.copy()

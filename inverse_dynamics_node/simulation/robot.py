@@ -38,7 +38,6 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
-from std_srvs.srv import SetBool
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
@@ -47,10 +46,11 @@ from ..robot.urdf import load_urdf
 from ..robot.urdf.schema import inertia_tensor, MOMENTS
 from ..ros.middleware import explained_start, LATCHED, start_ros
 from .drivers import Actuation, Driver, Form, IDEAL, read_command
-from .hand_over import COMPLAINT_PERIOD, HandOver, RELEASE
+from .hand_over import HandOver, RELEASE
 from .mujoco import MujocoRobot
 from .trajectory import start_pose
 
+COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of wrong commands
 MOST_LAG = 0.5  # [s]: largest lag of the simulated time behind the steady clock
 
 
@@ -96,7 +96,6 @@ class RobotNode(Node):
             self.create_subscription(kind, 'commands', self._on_command, 10)
         self.create_subscription(InertiaStamped, '~/payload', self._on_payload, 10)
         self.create_subscription(WrenchStamped, '~/push', self._on_push, 10)
-        self.create_service(SetBool, '~/hold', self._on_hold)
         # Log before the loop starts: the first call of a logger takes tens of milliseconds.
         awaits = f'awaits commands on {self.resolve_topic_name("commands")}'
         if driver.form is Form.NONE:
@@ -149,11 +148,6 @@ class RobotNode(Node):
             change()
         except InverseDynamicsError as error:
             self.get_logger().error(str(error))
-
-    def _on_hold(self, request: Any, response: Any) -> Any:
-        response.success, response.message = self._hand_over.hold(request.data, self._elapsed)
-        self.get_logger().info(response.message)
-        return response
 
 
 def _read(vector: Any) -> Floats:
