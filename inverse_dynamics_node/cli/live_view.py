@@ -9,7 +9,6 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from ..analysis.diagnosis.live import Agreement, Obstacle, Outcome
-from ..control.status import JointStatesStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
 from ..report.diagnosis_text import agreement_sentence
 
@@ -124,7 +123,7 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
         return []
     limits = dict(zip(robot.joint_names, robot.effort_limits.tolist(), strict=True))
     if status is not None:
-        limits |= status.limits()
+        limits |= status.by_joint('limits [N m, N]')
     rows = []
     for i, name in enumerate(robot.joint_names):
         limit = limits[name]
@@ -197,29 +196,27 @@ def node_values(observer: Observer, agreement: Agreement) -> dict[str, Any]:
     status = observer.status
     if status is None or agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
         return {}
-    loop, others = status.loop, status.other_nodes or OtherNodesStatus()
-    states = status.joint_states or JointStatesStatus()
-    reference = status.reference or ReferenceStatus()
-    payload = None
-    if status.model:  # otherwise the node has no robot yet
-        payload = ', '.join(map(str, status.model.payloads)) or 'none'
+    receivers = status.number('efforts', 'receivers')
     return {
-        'state': loop.state,
-        'phase': loop.phase.value if loop.phase else None,
-        'activity': loop.message,
-        'mode': loop.mode.value if loop.mode else None,
-        'dry_run': bool(loop.is_dry_run),
-        'payload': payload,
-        'commands_topic': others.commands or None,
-        'subscribers': status.efforts.receivers if status.efforts else None,
-        'rate': loop.rate,
-        'requested_rate': loop.requested_rate,
-        'joint_state_rate': states.rate,
-        'joint_state_age': states.age,
-        'joint_state_timeout': states.timeout,
-        'reference_age': reference.age,
-        'reference_timeout': reference.timeout,
-        'problems': [problem._asdict() for problem in status.problems()],
+        'state': status.text('loop', 'state'),
+        'phase': status.text('loop', 'phase') or None,
+        'activity': status['loop'].message,
+        'mode': status.text('loop', 'mode') or None,
+        'dry_run': status.text('loop', 'dry run') == 'yes',
+        'payload': status.text('model', 'payload') or None,
+        'commands_topic': status.text('other nodes', 'commands') or None,
+        'subscribers': None if receivers is None else int(receivers),
+        'rate': status.number('loop', 'rate [Hz]'),
+        'requested_rate': status.number('loop', 'requested rate [Hz]'),
+        'joint_state_rate': status.number('joint states', 'rate [Hz]'),
+        'joint_state_age': status.number('joint states', 'age [s]'),
+        'joint_state_timeout': status.number('joint states', 'timeout [s]'),
+        'reference_age': status.number('reference', 'age [s]'),
+        'reference_timeout': status.number('reference', 'timeout [s]'),
+        'problems': [
+            {'part': name, 'level': part.level.name, 'message': part.message}
+            for name, part in status.problems().items()
+        ],
     }
 
 

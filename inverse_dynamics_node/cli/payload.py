@@ -7,10 +7,10 @@ from functools import partial
 import json
 from pathlib import Path
 import sys
+from typing import TYPE_CHECKING
 
 from ..analysis.diagnosis import GravityConvention
 from ..analysis.payload import measure_payload, PayloadEstimate
-from ..control.status import NodeStatus
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..errors import ConfigurationError, escaped, RecordingError
 from ..report.payload_report import (
@@ -36,6 +36,9 @@ from .console import (
 from .pictures.compare import draw_payload
 from .pictures.style import write_picture
 from .recordings import measured_efforts, read_recording, reported_convention, scaled
+
+if TYPE_CHECKING:
+    from ..ros.diagnostics import NodeStatus
 
 EPILOG = """\
 examples:
@@ -126,8 +129,8 @@ def run(options: argparse.Namespace) -> int:
         if source is None:
             source, convention = node, reported_convention(status)
             scale = status.measured_scale()
-        if gravity is STANDARD_GRAVITY and status.model and status.model.gravity_at_root:
-            gravity = status.model.gravity_at_root
+        if gravity is STANDARD_GRAVITY:
+            gravity = tuple(status.gravity()) or gravity
     if empty is None and not convention.in_measured:
         raise ConfigurationError(
             f'{source}: the recorded efforts do not contain gravity; use --empty to add a '
@@ -221,7 +224,7 @@ def _partial(path: Path) -> Path:
 
 def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
     """Return the gravity convention and the scales of the measured efforts."""
-    return reported_convention(status), dict(status.measured_scale())
+    return reported_convention(status), status.measured_scale()
 
 
 def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from ..analysis.diagnosis import GravityConvention
 from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.signals import Recording
 from ..control.settings import MeasuredGravity
-from ..control.status import EffortsStatus, ModelStatus, NodeStatus
 from ..errors import ConfigurationError
 from ..robot.model import RobotModel
 from .console import progress
+
+if TYPE_CHECKING:
+    from ..ros.diagnostics import NodeStatus
 
 
 def read_recording(
@@ -64,9 +66,9 @@ def measured_efforts(
 
 def reported_convention(status: NodeStatus) -> GravityConvention:
     """Return the gravity convention that the diagnostics of a running node report."""
-    model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
-    in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
-    return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)
+    in_commands = bool(status.numbers('model', 'gravity [m/s^2]'))
+    in_measured = status.text('efforts', 'measured efforts contain gravity')
+    return GravityConvention(in_commands, in_measured == 'yes' if in_measured else in_commands)
 
 
 def _node_parameters(path: Path) -> dict[str, Any]:

@@ -22,7 +22,6 @@ from ..analysis.diagnosis.live import (
     Outcome,
     StateRate,
 )
-from ..control.status import EffortsStatus, Level, ModelStatus
 from ..report.diagnosis_text import agreement_sentence
 from . import arguments
 from .arguments import choose_node, MOST_DISCOVERY, node_name, only_one
@@ -187,11 +186,15 @@ class _Watch:
             self.window = LiveWindow(robot.joint_names) if robot else None
             self.sample = None
             self._cut.clear()
-        if observer.status is not None and observer.status.efforts is not None:
-            self._cut |= dict.fromkeys(observer.status.efforts.cut, observer.status_time)
+        status = observer.status
+        if status is not None:
+            cut = status.names('efforts', 'cut to limit since the last report')
+            self._cut |= dict.fromkeys(cut, observer.status_time)
         if self.window is not None:
-            efforts = (observer.status and observer.status.efforts) or EffortsStatus()
-            self.window.restart_after_change(efforts.measures_gravity, efforts.measured_scale)
+            if status is not None:
+                self.window.restart_after_change(
+                    reported_convention(status), status.measured_scale()
+                )
             sample = self.sample = observer.sample()
             self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
 
@@ -206,17 +209,16 @@ class _Watch:
             )
             cause = Obstacle.NO_DIAGNOSTICS if silence > _LOST else Obstacle.TOO_FEW_SAMPLES
             return Agreement(Outcome.UNDECIDED, cause, reason=reason)
-        requested, has_clock = status.loop.requested_rate, status.clock is not None
-        rate = StateRate(observer.state_rate, self.options.rate, requested, has_clock)
-        model = status.model or ModelStatus()
+        requested = status.number('loop', 'requested rate [Hz]')
+        rate = StateRate(observer.state_rate, self.options.rate, requested, 'clock' in status)
         return check_agreement(
             self._reason(),
             rate,
             self.window.samples() if self.window else None,
             observer.robot,
-            np.array(model.gravity_at_root or model.gravity or np.zeros(3)),
+            np.array(status.gravity() or np.zeros(3)),
             self._limits(),
-            model.joints,
+            status.names('model', 'joints'),
             [joint for joint, then in self._cut.items() if now < then + DURATION],
             reported_convention(status),
             self._payloads(),
@@ -228,35 +230,32 @@ class _Watch:
         assert status is not None
         if status.is_computing:
             return observer.robot_problem
-        loop, states = status.loop, status.joint_states
-        if loop.state != 'active':
-            return f'the node is {loop.state}'
-        has_problem = states is not None and states.level is not Level.OK
-        return f'{loop.message}; {states.message}' if states and has_problem else loop.message
+        state, reasons = status.text('loop', 'state'), [status['loop'].message]
+        if state != 'active':
+            return f'the node is {state}'
+        if 'joint states' in status.problems():
+            reasons.append(status['joint states'].message)
+        return '; '.join(reasons)
 
     def _limits(self) -> Any:
         robot, status = self.observer.robot, self.observer.status
         if robot is None or status is None:
             return None
-        limits = robot.effort_limits.copy()
-        for joint, limit in status.unscaled_limits().items():
-            if joint in robot.joint_names:
-                limits[robot.joint_names.index(joint)] = limit
+        limits, scale = robot.effort_limits.copy(), status.by_joint('scale')
+        for joint, limit in status.by_joint('limits [N m, N]').items():
+            if joint in robot.joint_names and scale.get(joint):
+                limits[robot.joint_names.index(joint)] = limit / abs(scale[joint])
         return limits
 
     def _payloads(self) -> list[tuple[str, float, Any]]:
         """Return link, mass [kg] and centre of mass [m] of each payload on the robot."""
         robot, status = self.observer.robot, self.observer.status
-        if robot is None or status is None or status.model is None:
+        if robot is None or status is None:
             return []
-        loads = status.model.payloads
-        coms = np.array(status.model.payload_coms)
-        if coms.size != 3 * len(loads):
-            coms = np.zeros(3 * len(loads))
         return [
-            (load.link, load.mass, com)
-            for load, com in zip(loads, coms.reshape(-1, 3), strict=True)
-            if load.link in robot.link_names
+            (link, mass, np.array(com))
+            for link, mass, com in status.payloads()
+            if link in robot.link_names
         ]
 
     def _print_line(self) -> None:

@@ -1,12 +1,7 @@
-"""
-Describes the activity and the problems of the node.
-
-A function named ``judge_...`` returns the level and the message of one part of `NodeStatus`.
-"""
+"""Describes in words what the control loop does, and the problems of its inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 
 import numpy as np
@@ -16,44 +11,31 @@ from ..robot.model import Floats
 from .external_loads import IMU_TIMEOUT
 from .loop import ControlLoop
 from .settings import Mode, StalePolicy
-from .status import GraphInfo, Level
-from .supervision import COMPUTING_PHASES, Phase, recovery_time, TOO_FAR_PHASES
+from .supervision import Phase, recovery_time, TOO_FAR_PHASES
 
-_LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
-_SLOW = 0.95  # the loop is too slow below this fraction of the requested rate
-_DISCOVERY = 1.0  # [s]; the discovery of a publisher may take this long
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
 _RECENT = 10.0  # [s]; a problem of the motion in a dry run is reported for this long
 _TURN_ERROR = 0.05  # [turns]; of a position that is whole turns away from its reference
-_PAUSE = 5.0  # [s]; a longer standstill of simulated time is reported
-
-Judgement = tuple[Level, str]
 
 
 def activity(now: float, loop: ControlLoop) -> str:
     """Describe what the active control loop does and why; ``now`` is in [s]."""
-    doing = _computing(loop)
-    if loop.controller.phase is Phase.LIMIT_STOP:
-        doing = f'stopped: {loop.controller.supervisor.limit_stop}'
-    if not doing:
-        doing = f'{_consequence(loop)}: {_reason_to_stop(now, loop)}'
-    return f'dry run: {doing}' if loop.dry_run.is_active else doing
-
-
-def _computing(loop: ControlLoop) -> str:
-    """Describe a phase that computes efforts or waits for joint states; otherwise return ''."""
     phase, settings = loop.controller.phase, loop.controller.settings
-    doing = str(phase.value).partition(':')[0]
+    doing = phase.value.partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
-        return f'{doing}: {_reason_for_no_reference(loop)}'
-    if phase in TOO_FAR_PHASES:
-        return (
-            f'{doing}: the reference starts too far away or jumps too far '
+        doing += f': {_reason_for_no_reference(loop)}'
+    elif phase in TOO_FAR_PHASES:
+        doing += (
+            ': the reference starts too far away or jumps too far '
             f'(max_tracking_error: {settings.max_tracking_error:g} rad or m)'
             f'{_full_turns(loop)}'
         )
-    return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
+    elif phase is Phase.LIMIT_STOP:
+        doing = f'stopped: {loop.controller.supervisor.limit_stop}'
+    elif phase not in (Phase.RUNNING, Phase.WAITING):
+        doing = f'{_consequence(loop)}: {_reason_to_stop(now, loop)}'
+    return f'dry run: {doing}' if loop.dry_run.is_active else doing
 
 
 def _full_turns(loop: ControlLoop) -> str:
@@ -98,36 +80,32 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     joints = ', '.join(loop.collector.stale(now, timeout))
     if joints:
         return f'no joint state of {joints} for more than {timeout:g} s'
-    return describe_recovery(loop)
+    return _recovery(loop)
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
     """Report that IMU messages no longer arrive; return '' if they do or if none ever arrived."""
     loads = loop.loads
-    if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
+    if loads.imu_time == -math.inf or loads.is_base_known(now):
         return ''
     return f'the motion of the base is unknown: no message on imu for more than {IMU_TIMEOUT:g} s'
 
 
-def describe_recovery(loop: ControlLoop) -> str:
+def describe_lost_states(now: float, loop: ControlLoop) -> str:
+    """Describe a loss of joint states, or how it ends; return '' if they are not lost."""
+    stale = loop.collector.stale(now, loop.controller.settings.state_timeout)
+    if stale:
+        return f'joint states are lost: {", ".join(stale)}'
+    return _recovery(loop) if loop.controller.phase is Phase.STATE_LOST else ''
+
+
+def _recovery(loop: ControlLoop) -> str:
     """Describe when efforts rise again after a loss of joint states."""
     timeout = loop.controller.settings.state_timeout
     return (
         'joint states were lost or contradictory; efforts rise again after joint states have '
         f'arrived for {recovery_time(timeout):g} s without a gap longer than state_timeout '
         f'({timeout:g} s)'
-    )
-
-
-def describe_silence(around: GraphInfo) -> str:
-    """Describe connected publishers that send no joint states; return '' if there are none."""
-    if not around.publishers or around.silence < _LONG_SILENCE:
-        return ''
-    publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
-    return (
-        f'no message on joint_states for {around.silence:.0f} s, although '
-        f'{around.publishers} {publishers} connected (a killed publisher stays connected for up '
-        'to 20 s); if ros2 topic hz shows messages, restart this node'
     )
 
 
@@ -210,138 +188,3 @@ def describe_implausible(loop: ControlLoop) -> dict[str, str]:
     collector = loop.collector
     known = np.where(collector.times > -math.inf, collector.q, math.nan)
     return {found.joint: str(found) for found in implausible_positions(loop.robot, known)}
-
-
-def judge_loop(
-    now: float, loop: ControlLoop | None, around: GraphInfo, rate: float, requested: float | None
-) -> Judgement:
-    """Describe the loop, or warn that its rate is lower than requested; rates are in [Hz]."""
-    if not around.is_active or loop is None:
-        return Level.OK, around.state
-    if loop.controller.phase is Phase.LIMIT_STOP:
-        return Level.ERROR, activity(now, loop)
-    if requested and 0.0 < rate < _SLOW * requested:
-        return Level.WARN, f'only {rate:.1f} commands/s'
-    return Level.OK, activity(now, loop)
-
-
-def judge_messages(recently: int, total: int) -> Judgement:
-    """Report the number of rejected messages."""
-    if recently:
-        return Level.WARN, f'messages rejected since the last report: {recently}'
-    return Level.OK, f'messages rejected in total: {total}'
-
-
-def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judgement:
-    """Report missing, stale, contradictory and implausible joint states."""
-    collector, settings = loop.collector, loop.controller.settings
-    if_lost = Level.ERROR if around.is_active else Level.WARN
-    silence = describe_silence(around)
-    if collector.missing():
-        return if_lost, '; '.join(filter(None, (f'waiting for {loop.missing()[0]}', silence)))
-    stale = collector.stale(now, settings.state_timeout)
-    if stale:
-        return if_lost, '; '.join(
-            filter(None, (f'joint states are lost: {", ".join(stale)}', silence))
-        )
-    if loop.controller.phase is Phase.STATE_LOST:
-        return if_lost, describe_recovery(loop)
-    problem = describe_motion(now, loop)
-    if problem:
-        return Level.ERROR, problem
-    warnings = [*describe_late(loop, now), *describe_implausible(loop).values()]
-    if warnings:
-        return Level.WARN, '; '.join(warnings)
-    if collector.unseen():
-        joints = ', '.join(collector.unseen())
-        return Level.WARN, f'never reported: {joints}; their locked positions are used'
-    is_closed = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
-    if is_closed and collector.without_velocity():
-        return Level.WARN, (
-            f'joints reported without velocity have no damping in {settings.mode.value}'
-        )
-    return Level.OK, 'fresh'
-
-
-def judge_reference(loop: ControlLoop, around: GraphInfo) -> Judgement:
-    """Report whether the reference is followed."""
-    controller = loop.controller
-    if around.is_active and controller.phase in TOO_FAR_PHASES:
-        return Level.WARN, controller.phase.value
-    if controller.is_stopping:
-        return Level.OK, 'disabled'
-    return Level.OK, 'followed' if controller.phase is Phase.RUNNING else 'no reference is used'
-
-
-def judge_efforts(
-    now: float, loop: ControlLoop, around: GraphInfo, clamped: Sequence[str]
-) -> Judgement:
-    """Report that the commands have no subscribers, or which efforts were cut to their limits."""
-    if around.is_active and not around.receivers and not loop.dry_run.is_active:
-        message = 'the commands have no subscribers'
-        if around.others.subscribers.first:
-            names = around.others.subscribers
-            message += f' that match; another type or quality of service is used by {names}'
-        return Level.WARN, message
-    if clamped:
-        return Level.WARN, f'effort cut to its limit: {", ".join(clamped)}'
-    return Level.OK, activity(now, loop)
-
-
-OUTDATED = (
-    'another robot description has arrived; to use it, deactivate, clean up and configure the node'
-)
-
-
-def judge_model(now: float, loop: ControlLoop) -> Judgement:
-    """Report an unknown motion of the base, and problems of the robot description."""
-    unknown = describe_lost_imu(now, loop)
-    if loop.lacks_imu:
-        unknown = 'the motion of the base is unknown: no message on imu yet'
-    if unknown:
-        return Level.ERROR, unknown
-    if loop.is_outdated:
-        return Level.WARN, OUTDATED
-    warnings = loop.robot.warnings
-    if warnings:
-        number = '1 warning' if len(warnings) == 1 else f'{len(warnings)} warnings'
-        return Level.WARN, f'{number} about the robot description'
-    return Level.OK, f"robot '{loop.robot.name}'"
-
-
-def judge_other_nodes(loop: ControlLoop | None, around: GraphInfo) -> Judgement:
-    """Report nodes that publish the same commands or have the same name."""
-    others = around.others
-    problems = []
-    if others.rivals.first:
-        problems.append(f'{others.commands} is also published by {others.rivals}')
-    if others.namesakes:
-        is_one = others.namesakes == 1
-        nodes = 'another node has' if is_one else f'{others.namesakes} other nodes have'
-        problems.append(f'{nodes} the name {around.name}')
-    if not problems:
-        return Level.OK, 'no other node publishes the commands or has this name'
-    # Nodes may take turns at publishing on a topic, but must never have the same name.
-    is_sending = around.is_active and not (loop and loop.dry_run.is_active)
-    message = (
-        f'{"; ".join(problems)} (stop the other node; a killed node stays listed for up to 20 s)'
-    )
-    return Level.ERROR if is_sending or others.namesakes else Level.WARN, message
-
-
-def judge_clock(time: float, unchanged_for: float, publishers: int) -> Judgement:
-    """Report simulated time that does not advance; see `ClockStatus` for the arguments."""
-    is_late = unchanged_for >= _PAUSE
-    if not time and not publishers:
-        if unchanged_for < _DISCOVERY:
-            return Level.OK, 'no message on /clock yet'
-        message = 'use_sim_time is set, but nothing publishes /clock'
-        return Level.ERROR if is_late else Level.WARN, message
-    if not is_late:
-        return Level.OK, 'simulated time advances'
-    message = f'simulated time has not advanced for more than {_PAUSE:g} s'
-    if not publishers:
-        message += ': nothing publishes /clock any more'
-        return Level.ERROR, message
-    message += f' (publishers of /clock: {publishers}); is the simulation paused?'
-    return Level.WARN, message

@@ -1,35 +1,33 @@
-"""Log of the node: reports each change once, and lasting problems repeatedly."""
+"""Log of the node: prints each change once, and lasting problems repeatedly."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Sequence
-from itertools import compress
+from collections.abc import Hashable
 import math
+import re
 import time
 from typing import Any
 
 import numpy as np
 
-from ..control.loop import Command, ControlLoop
-from ..control.status import Level, NodeNames, Part
-from ..control.status_text import (
-    activity,
-    describe_implausible,
-    describe_late,
-    describe_lost_imu,
-    describe_motion,
-    describe_unstable_gains,
-)
+from ..control.loop import ControlLoop
+from ..control.status_text import activity
 from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
+from ..ros.diagnostics import Level, NodeStatus
 
-_PERIOD = 2.0  # [s]; between repetitions of a lasting problem
-_LONG_PERIOD = 10.0  # [s]; between repetitions of a problem that only a user can solve
-_ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION, Phase.LIMIT_STOP)
+_PERIOD = 2.0  # [s]; between repetitions of an event
+_LONG_PERIOD = 10.0  # [s]; between repetitions of a lasting problem
 _MOST_CHANGES = 6  # at most this many changes of activity are logged within _PERIOD
 _MOST_MESSAGES = 3  # at most this many reports for each topic are logged within _PERIOD
 _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
+_NUMBER = re.compile(r'(?<!\w)[\d.]+')
+_LEVELS = dict.fromkeys(TOO_FAR_PHASES, Level.WARN) | dict.fromkeys(
+    (Phase.STATE_LOST, Phase.NO_SOLUTION, Phase.LIMIT_STOP), Level.ERROR
+)
+_LOGGED_AT_ONCE = 'messages', 'reference', 'scheduling'
+"""Parts whose problems are not logged from the status, but already when they happen."""
 
 
 class BoundedLogger:
@@ -64,24 +62,13 @@ class NodeLog:
         self._times: dict[Hashable, float] = {}  # time of the last message for each key
         self._last_activity: tuple[Phase, bool] | None = None
         self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest changes
-        self._has_reported_imu = False
-        self._last_parts: dict[str, tuple[Level, str]] = {}
+        self._problems: dict[str, tuple[Hashable, str]] = {}  # key and message for each part
         self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
         """Let the next step report the activity, even if it has not changed."""
         self._last_activity = None
         self._changes.clear()
-
-    def warn(self, key: Hashable, text: str | Callable[[], str], period: float = _PERIOD) -> None:
-        """Log a warning, unless the same key was logged less than `period` [s] ago."""
-        if self._is_due(key, period):
-            self._logger.warning(text if isinstance(text, str) else text())
-
-    def error(self, key: Hashable, text: str) -> None:
-        """Log an error, unless the same key was logged a moment ago."""
-        if self._is_due(key):
-            self._logger.error(text)
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
@@ -96,10 +83,7 @@ class NodeLog:
         if is_full or not self._is_due((topic, hash(text))):
             return
         times.append(now)
-        if is_problem:
-            self._logger.warning(f'{topic}: {text}')
-        else:
-            self._logger.info(f'{topic}: {text}')
+        self._write(Level.WARN if is_problem else Level.OK, f'{topic}: {text}')
 
     def report_robot(self, loop: ControlLoop) -> None:
         """Report the loaded robot, and the warnings about its description."""
@@ -113,104 +97,49 @@ class NodeLog:
             + (f', and also models {", ".join(others)}' if others else '')
         )
 
-    def report_part(self, name: str, part: Part | None) -> None:
-        """Log a problem in a part of the status at once and every ten seconds; log its end."""
-        if part is None:
-            return
-        last = self._last_parts.get(name, (Level.OK, ''))
-        this = part.level, part.message
-        if part.level is Level.OK:
-            if last[0] is not Level.OK:
-                self._logger.info(part.message)
-        elif last != this or self._is_due(('part', name), _LONG_PERIOD):
-            self._times[('part', name)] = time.monotonic()
-            if part.level is Level.ERROR:  # a logger accepts one severity per line of code
-                self._logger.error(part.message)
-            else:
-                self._logger.warning(part.message)
-        self._last_parts[name] = this
+    def report_status(self, status: NodeStatus, *, is_active: bool) -> None:
+        """Log new problems at once, and lasting problems every ten seconds; log their end."""
+        for name, (level, message, _) in status.items():
+            if name in _LOGGED_AT_ONCE or (name == 'joint states' and not is_active):
+                continue
+            # Warnings about the robot are logged when it is loaded.
+            if level is Level.ERROR or (level is Level.WARN and name != 'model'):
+                key = _key_of(level, message)
+                is_lasting = name in self._problems and self._problems[name][0] == key
+                self._problems[name] = key, message
+                if self._is_due(key, _LONG_PERIOD if is_lasting else _PERIOD):
+                    self._write(level, message)
+            elif name in self._problems and self._is_due(('end', name), _LONG_PERIOD):
+                _, past = self._problems.pop(name)
+                self._write(Level.OK, f'solved: {past}')
 
-    def report_step(self, now: float, loop: ControlLoop, command: Command) -> None:
-        """Report a change of activity and the problems of the step; repeat alarms."""
-        controller = loop.controller
-        phase = controller.phase
+    def report_activity(self, now: float, loop: ControlLoop) -> None:
+        """Report what the loop does, if this has changed."""
+        phase = loop.controller.phase
         # The end of a ramp down is reported, even though the phase does not change.
-        key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
-        if key != self._last_activity or phase in _ALARMS:
-            self._report_activity(now, loop, key)
-        if loop.has_imu:
-            self._report_imu(now, loop)
-        motion = describe_motion(now, loop)
-        if motion:
-            self.error('motion', motion)
-        if loop.collector.late_count:
-            self.warn('late', lambda: '; '.join(describe_late(loop, now)))
-        if np.count_nonzero(command.is_saturated):  # any() takes longer
-            # A change of the saturated joints is reported at once.
-            joints, flags = controller.joints, command.is_saturated
-            self.warn(
-                ('saturated', flags.tobytes()),
-                lambda: f'effort cut to its limit: {", ".join(compress(joints, flags))}',
-            )
-
-    def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
-        """Warn that new joint states lack velocities, and name the publishers."""
-        self.warn(
-            'velocities',
-            f'joint_states: the velocities of {", ".join(joints)} are missing in new messages '
-            f'from {NodeNames.of(publishers)}; zero is used',
-        )
-
-    def report_implausible(self, loop: ControlLoop) -> None:
-        """Warn about joints that are far outside their position limits."""
-        for joint, text in describe_implausible(loop).items():
-            self.warn(('implausible', joint), text, _LONG_PERIOD)
-
-    def report_gains(self, loop: ControlLoop) -> None:
-        """Warn of gains with which joints may oscillate."""
-        text = describe_unstable_gains(loop)
-        if text:
-            self.warn(('gains', text), text, _LONG_PERIOD)
-
-    def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """While IMU messages are missing, log an error every few seconds; log when they return."""
-        text = describe_lost_imu(now, loop)
-        if text and self._is_due('imu'):
-            self._has_reported_imu = True
-            self._logger.error(text)
-        elif not text and self._has_reported_imu:
-            self._has_reported_imu = False
-            self._logger.info('the motion of the base is known again')
-
-    def _report_activity(self, now: float, loop: ControlLoop, key: tuple[Phase, bool]) -> None:
+        key = phase, phase in COMPUTING_PHASES or loop.controller.has_effort
+        if key == self._last_activity:
+            return
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
                 self._logger.warning(f"joint_states: '{name}' has no velocity; zero is used")
-            for name in loop.collector.unseen():
-                self._logger.warning(
-                    f"joint_states: '{name}' is not reported; its locked position is used"
-                )
-            self.report_implausible(loop)
-            self._last_activity = Phase.WAITING, False
         steady = time.monotonic()
-        if key == self._last_activity:
-            is_due = steady - self._changes[-1] >= _PERIOD
-        else:
-            # Several changes may follow in quick succession, for example after a clock jump.
-            is_due = len(self._changes) < _MOST_CHANGES or steady - self._changes[0] >= _PERIOD
-        if not is_due:
+        # Several changes may follow in quick succession, for example after a clock jump.
+        if len(self._changes) == _MOST_CHANGES and steady - self._changes[0] < _PERIOD:
             return  # the next step tries again
         self._changes.append(steady)
         self._last_activity = key
-        text = activity(now, loop)
-        if key[0] in _ALARMS:
+        level, text = _LEVELS.get(phase, Level.OK), activity(now, loop)
+        self._times[_key_of(level, text)] = steady
+        self._write(level, text)
+
+    def _write(self, level: Level, text: str) -> None:
+        if level is Level.ERROR:  # a logger accepts one severity per line of code
             self._logger.error(text)
-        elif key[0] in TOO_FAR_PHASES:
+        elif level is Level.WARN:
             self._logger.warning(text)
         else:
             self._logger.info(text)
-        if key[0] in COMPUTING_PHASES:
-            self.report_gains(loop)
 
     def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast
@@ -220,3 +149,8 @@ class NodeLog:
             self._times.clear()
         self._times[key] = now
         return True
+
+
+def _key_of(level: Level, message: str) -> Hashable:
+    """Return what identifies a problem: its message may contain other numbers each time."""
+    return level, _NUMBER.sub('', message)

@@ -15,7 +15,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from ..control.status_text import OUTDATED
 from ..control.stop_damping import TIMEOUT
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros.graph import Graph
@@ -35,6 +34,7 @@ from .ros_parameters import (
 from .runner import LoopRunner
 from .scheduling import Scheduling
 from .services import contain_errors, Services
+from .status import OUTDATED
 from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller, Worker
 

@@ -13,13 +13,13 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from ..control.loop import Command, ControlLoop
-from ..control.monitor import Monitor
 from ..control.stop_damping import AT_REST
 from ..control.supervision import COMPUTING_PHASES
-from ..errors import JointStateError, shortened_lines
+from ..errors import JointStateError, listed, shortened_lines
 from ..ros.graph import Graph
 from .configure import apply_configuration
 from .log import NodeLog
+from .monitor import Monitor
 from .outputs import Outputs
 from .parameters import Configuration
 
@@ -87,8 +87,6 @@ class LoopRunner:
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
             apply_configuration(self.loop, configuration, before)
-            if self.loop.collector.state() is not None:
-                self.log.report_gains(self.loop)
             self._watch_after(self._watch_period)
 
     def forget_robot(self) -> None:
@@ -131,17 +129,17 @@ class LoopRunner:
             self._switch_dry_run(self.loop)
         command = self.loop.step(now)
         if command is None:
-            if self.graph.is_discovered:
-                self.log.warn('waiting', self._describe_missing)
             return
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
         self._report_damping(command.end_of_damping)
-        self.log.report_step(now, self.loop, command)
+        self.log.report_activity(now, self.loop)
         if command.lost_velocities:
-            publishers = self.graph.publishers('joint_states')
-            self.log.report_lost_velocities(command.lost_velocities, publishers)
+            joints = ', '.join(command.lost_velocities)
+            publishers = listed(self.graph.publishers('joint_states'))
+            text = f'the velocities of {joints} are missing in new messages from {publishers}; '
+            self.log.report_message('joint_states', f'{text}zero is used')
         if self.loop.controller.phase in COMPUTING_PHASES:
             self._publish_external_efforts(self.loop)
 
@@ -166,17 +164,11 @@ class LoopRunner:
         self._node.get_logger().info(text)
         self.log.begin()
 
-    def _describe_missing(self) -> str:
-        assert self.loop is not None
-        states, imu = map(self.graph.with_publishers, ('joint_states', 'imu'))
-        missing = self.loop.missing(states, imu, self.now())
-        return f'no command yet: waiting for {" and ".join(missing)}'
-
     def _publish_external_efforts(self, loop: ControlLoop) -> None:
         try:
             self.outputs.publish_external_efforts(loop)
         except JointStateError as error:
-            self.log.warn('external efforts', str(error))
+            self.log.report_message('~/external_efforts', str(error))
 
     def catch_up(self) -> None:
         """Do the work of the timers."""

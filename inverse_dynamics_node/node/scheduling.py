@@ -8,7 +8,7 @@ import os
 import resource
 import threading
 
-from ..control.status import Level, SchedulingStatus
+from ..ros.diagnostics import Level, Part
 
 _HINT = (
     'to permit real-time priority, add "@realtime - rtprio 99" to /etc/security/limits.conf, join '
@@ -67,13 +67,13 @@ class Scheduling:
             if self._priority:
                 _schedule(self._loop, self._priority)
 
-    def status(self) -> SchedulingStatus:
+    def status(self) -> Part:
         """Return the scheduling of the loop as reported by the kernel."""
-        return SchedulingStatus(
-            level=Level.WARN if self._problem else Level.OK,
-            message=self._problem or 'real-time priority',
-            policy=_policy(self._loop),
-            priority=os.sched_getparam(self._loop).sched_priority,
+        priority = os.sched_getparam(self._loop).sched_priority
+        return Part(
+            Level.WARN if self._problem else Level.OK,
+            self._problem or 'real-time priority',
+            {'policy': _policy(self._loop), 'priority': str(priority)},
         )
 
 

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.monitor import StalledPublishers
-from ..control.status import GraphInfo, Topics
-from ..control.status_text import describe_silence
 from ..ros.diagnostics import write_status
 from ..ros.middleware import QUEUED
 from .inputs import Inputs
+from .monitor import lasting_silence
 from .runner import LoopRunner
 from .scheduling import Scheduling
+from .status import describe_node, Surroundings
 
 _PERIOD = 1.0  # [s]; recommended by REP-107
+_TOPICS = 'joint_states', '~/joint_efforts', '~/external_efforts'
 
 
 class StatusPublisher:
@@ -33,15 +32,11 @@ class StatusPublisher:
         scheduling: Scheduling,
     ) -> None:
         self._node, self._runner, self._inputs = node, runner, inputs
-        self._graph, self._log = runner.graph, runner.log
-        self._scheduling = scheduling
+        self._graph, self._scheduling = runner.graph, scheduling
         self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', QUEUED)
         self._last_time = time.monotonic()
-        self._last_count = 0
-        self._stalled = StalledPublishers(self._last_time)
-        names = ('joint_states', '~/joint_efforts', '~/external_efforts')
-        self._topics = Topics(*(str(node.resolve_topic_name(name)) for name in names))
+        self._last_count, self._silence = 0, 0.0
         node.create_timer(_PERIOD, self._on_timer, clock=clock)
 
     def publish_if_late(self) -> None:
@@ -50,48 +45,39 @@ class StatusPublisher:
             self._on_timer()
 
     def _on_timer(self) -> None:
-        now = time.monotonic()
-        elapsed, self._last_time = now - self._last_time, now
-        loop, is_active = self._runner.loop, self._runner.is_active
-        graph = self._inspect_graph(elapsed)
-        silence = describe_silence(graph) if is_active else ''
-        if silence:
-            self._log.error('silence', silence)
-        if loop is not None:
-            self._log.report_implausible(loop)
-        status = self._runner.monitor.report(self._runner.now(), loop, graph)
-        status = replace(status, scheduling=self._scheduling.status())
-        self._log.report_part('other nodes', status.other_nodes)
-        self._log.report_part('clock', status.clock)
-        self._publisher.publish(
-            write_status(
-                self._node.get_clock().now().to_msg(),
-                self._node.get_fully_qualified_name(),
-                status,
-            )
-        )
+        runner, node = self._runner, self._node
+        around = self._look_around()
+        status = describe_node(runner.now(), runner.loop, around, runner.monitor)
+        status['scheduling'] = self._scheduling.status()
+        runner.monitor.begin_report()
+        if self._graph.is_discovered:
+            runner.log.report_status(status, is_active=runner.is_active)
+        stamp = node.get_clock().now().to_msg()
+        self._publisher.publish(write_status(stamp, node.get_fully_qualified_name(), status))
 
-    def _inspect_graph(self, elapsed: float) -> GraphInfo:
-        node = self._node
+    def _look_around(self) -> Surroundings:
+        node, graph, now = self._node, self._graph, time.monotonic()
+        has_message = self._inputs.last_joint_state > self._last_time
+        elapsed, self._last_time = now - self._last_time, now
         states = self._inputs.state_count - self._last_count
         self._last_count = self._inputs.state_count
-        publisher_count = node.count_publishers(node.resolve_topic_name('joint_states'))
-        clock = self._graph.clock() if self._uses_sim_time else None
-        is_paused = clock is not None and (clock.unchanged_for or 0.0) > _PERIOD
-        return GraphInfo(
-            receivers=self._runner.outputs.receivers,
-            publishers=publisher_count,
-            is_active=self._runner.is_active,
+        publishers = node.count_publishers(node.resolve_topic_name('joint_states'))
+        clock = graph.clock() if self._uses_sim_time else None
+        is_paused = clock is not None and clock.unchanged_for > _PERIOD
+        is_silent = bool(publishers) and not is_paused and not has_message
+        self._silence = lasting_silence(self._silence, elapsed, is_silent=is_silent)
+        joint_states, efforts, external = map(node.resolve_topic_name, _TOPICS)
+        return Surroundings(
             # The only public way to get the state is a service.
             state=str(node._state_machine.current_state[1]),
+            is_active=self._runner.is_active,
             name=node.get_fully_qualified_name(),
-            others=self._graph.others(),
-            clock=clock,
-            silence=self._stalled.update(
-                self._last_time,
-                self._inputs.last_joint_state,
-                is_expected=bool(publisher_count) and not is_paused,
-            ),
+            receivers=self._runner.outputs.receivers,
+            publishers=publishers,
+            silence=self._silence,
             state_rate=states / elapsed if elapsed > 0.0 else 0.0,
-            topics=self._topics,
+            inputs=(graph.with_publishers('joint_states'), graph.with_publishers('imu')),
+            topics=(joint_states, efforts, external),
+            others=graph.others(),
+            clock=clock,
         )

@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..control.loop import ControlLoop
 from ..dynamics.trajectory import complete, joint_index, Trajectory, trajectory_efforts
-from ..errors import InverseDynamicsError, TrajectoryError
+from ..errors import InverseDynamicsError, listed, TrajectoryError
 from ..robot.model import Floats
 from ..ros.middleware import overridable, RELIABLE
 from .runner import LoopRunner
@@ -180,11 +180,11 @@ class TrajectoryFiller:
         except Exception as error:  # any error in the other process
             self._runner.reject('~/joint_trajectory_in', error)
             return
-        for note in filled.notes:
-            self._runner.log.warn(('trajectory note', note), f'~/joint_trajectory_in: {note}')
-        for name in filled.beyond:
-            warning = f"~/joint_trajectory_in: the efforts of joint '{name}' exceed their limit"
-            self._runner.log.warn(('trajectory beyond', name), warning)
+        notes = [*filled.notes]
+        if filled.beyond:
+            notes.append(f'the efforts of {listed(filled.beyond)} exceed their limits')
+        for note in notes:
+            self._runner.log.report_message('~/joint_trajectory_in', note)
         self._publisher.publish(filled.data)
 
 

@@ -1,135 +1,105 @@
-"""
-Converts `NodeStatus` to and from ``/diagnostics`` messages in the format of REP-107.
-
-Each field of the status declares its key and format. The format also rounds the numbers.
-"""
+"""The status of a node, and its transfer through ``/diagnostics`` in the format of REP-107."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, get_args, get_origin, get_type_hints, NamedTuple
+import enum
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..control.settings import Mode
-from ..control.status import Level, NodeNames, NodeStatus, Part, Payload
-from ..control.supervision import Phase
+from ..control.supervision import COMPUTING_PHASES
 from ..errors import shortened
 
+NONE = 'none'
+"""The text of an empty list."""
 _MAX_LENGTH = 1000  # [characters]; names from messages and robot descriptions can be long
-_NONE = 'none'
 
 
-class _Kind(NamedTuple):
-    """Functions that convert values of one type to text and back; `read` may raise ValueError."""
+class Level(enum.IntEnum):
+    """Severity of a status; the numbers are those of diagnostic_msgs."""
 
-    write: Callable[[Any], str]
-    read: Callable[[str], Any]
-
-
-def _read_nodes(text: str) -> NodeNames:
-    if text == _NONE:
-        return NodeNames()
-    names, _, more = text.partition(' and ')
-    return NodeNames(tuple(names.split(', ')), int(more.removesuffix(' more') or 0))
+    OK = 0
+    WARN = 1
+    ERROR = 2
 
 
-def _read_payload(text: str) -> Payload:
-    mass, _, link = text.partition(' kg on ')
-    return Payload(float(mass), link)
+class Part(NamedTuple):
+    """The status of one part of the node."""
+
+    level: Level
+    message: str
+    values: dict[str, str]
 
 
-_KINDS = {
-    str: _Kind(str, str),
-    int: _Kind(str, int),
-    bool: _Kind(lambda flag: 'yes' if flag else 'no', lambda text: text == 'yes'),
-    Mode: _Kind(lambda mode: str(mode.value), Mode),
-    Phase: _Kind(lambda phase: str(phase.value), Phase),
-    NodeNames: _Kind(lambda nodes: str(nodes) or _NONE, _read_nodes),
-    Payload: _Kind(str, _read_payload),
-}
+class NodeStatus(dict[str, Part]):
+    """
+    The parts of the status by name, in the order of publication.
 
+    `node/status.py` writes all values, as text. A part or value that does not exist is read as an
+    empty text or list, or as None.
+    """
 
-def _number(form: str, factor: float) -> _Kind:
-    return _Kind(lambda x: format(factor * x, form), lambda text: float(text) / factor)
+    def text(self, part: str, key: str) -> str:
+        """Return a value as it was written."""
+        return self[part].values.get(key, '') if part in self else ''
 
+    def number(self, part: str, key: str) -> float | None:
+        """Return a value that is one number."""
+        try:
+            return float(self.text(part, key))
+        except ValueError:
+            return None
 
-def _list_of(item: _Kind) -> _Kind:
-    def read(text: str) -> tuple[Any, ...]:
-        return tuple(map(item.read, text.split(', '))) if text != _NONE else ()
+    def names(self, part: str, key: str) -> list[str]:
+        """Return the items of a list."""
+        text = self.text(part, key)
+        return text.split(', ') if text not in ('', NONE) else []
 
-    return _Kind(lambda values: ', '.join(map(item.write, values)) or _NONE, read)
+    def numbers(self, part: str, key: str) -> list[float]:
+        """Return a list of numbers."""
+        try:
+            return [float(text) for text in self.names(part, key)]
+        except ValueError:
+            return []
 
+    def by_joint(self, key: str) -> dict[str, float]:
+        """Return numbers of the efforts by commanded joint; empty if they are unknown."""
+        joints, values = self.names('model', 'joints'), self.numbers('efforts', key)
+        return dict(zip(joints, values, strict=True)) if len(joints) == len(values) else {}
 
-@dataclass(frozen=True)
-class _Key:
-    """The key of a value; a ``*`` in the key stands for the name or number of each item."""
+    def measured_scale(self) -> dict[str, float]:
+        """Return the factor for the measured efforts of each commanded joint."""
+        return self.by_joint('scale of the measured efforts')
 
-    value: str
-    name: str
-    absent: str
-    kind: _Kind
-    is_counted: bool
+    def gravity(self) -> list[float]:
+        """Return gravity in the frame of the root link [m/s^2], even if commands exclude it."""
+        return self.numbers('model', 'gravity in the root link [m/s^2]')
 
-    def write(self, value: Any) -> dict[str, str]:
-        """Convert the value to strings, and return them by key."""
-        if value is None:
-            return {self.name: self.absent} if self.absent else {}
-        if '*' not in self.name:
-            return {self.name: self.kind.write(value)}
-        pairs = value.items() if self.is_counted else enumerate(value, start=1)
-        return {self.name.replace('*', str(name)): str(each) for name, each in pairs}
+    def payloads(self) -> list[tuple[str, float, list[float]]]:
+        """Return link, mass [kg] and centre of mass in the frame of the link [m] of each load."""
+        loads = [text.partition(' kg on ') for text in self.names('model', 'payload')]
+        coms = self.numbers('model', 'payload com [m]')
+        if len(coms) != 3 * len(loads):
+            return []
+        return [
+            (link, float(mass), coms[3 * k : 3 * k + 3]) for k, (mass, _, link) in enumerate(loads)
+        ]
 
-    def read(self, values: Mapping[str, str]) -> Any:
-        """Read the value from the strings in `values`; return None if the value is missing."""
-        if '*' not in self.name:
-            text = values.get(self.name, self.absent)
-            return None if text == self.absent else self.kind.read(text)
-        before, _, after = self.name.partition('*')
-        found = [key for key in values if key.startswith(before) and key.endswith(after)]
-        if not self.is_counted:
-            return tuple(values[key] for key in found)
-        return {key.removesuffix(after): int(values[key]) for key in found}
+    @property
+    def is_computing(self) -> bool:
+        """Whether the node computes efforts for the current joint states."""
+        phases = [phase.value for phase in COMPUTING_PHASES]
+        return self.text('loop', 'state') == 'active' and self.text('loop', 'phase') in phases
 
-
-def _keys(part: type[Part]) -> list[_Key]:
-    """Return the keys that the fields of a part declare."""
-    keys = []
-    hints = get_type_hints(part)
-    for field in fields(part):
-        if 'key' not in field.metadata:
-            continue
-        name, form, absent = (field.metadata[word] for word in ('key', 'form', 'absent'))
-        hint = _without_none(hints[field.name])
-        item = get_args(hint)[0] if get_origin(hint) is tuple else hint
-        factor = 1e3 if name.endswith('[ms]') else 1.0
-        kind = _number(form, factor) if item is float else _KINDS.get(item, _KINDS[str])
-        is_counted = get_origin(hint) is Mapping
-        kind = _list_of(kind) if item is not hint else kind
-        keys.append(_Key(field.name, name, absent, kind, is_counted))
-    return keys
-
-
-def _without_none(hint: Any) -> Any:
-    return get_args(hint)[0] if type(None) in get_args(hint) else hint
-
-
-_PARTS = {name: _without_none(hint) for name, hint in get_type_hints(NodeStatus).items()}
-_KEYS: dict[type[Part], list[_Key]] = {part: _keys(part) for part in _PARTS.values()}
-
-
-def write_values(part: Part) -> dict[str, str]:
-    """Return the values of a part as strings, by key."""
-    values: dict[str, str] = {}
-    for key in _KEYS[type(part)]:
-        values |= key.write(getattr(part, key.value))
-    return values
+    def problems(self) -> dict[str, Part]:
+        """Return the parts that are not OK, with errors first."""
+        found = [(-part.level, name) for name, part in self.items() if part.level is not Level.OK]
+        return {name: self[name] for _, name in sorted(found)}
 
 
 def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
     """
-    Return the message for ``/diagnostics``, with long strings shortened.
+    Return the message for ``/diagnostics``, with long texts shortened.
 
     `stamp` is the time in the header. `node` is the fully qualified name of the node. The name of
     each part begins with `node`, without the leading slash.
@@ -141,44 +111,28 @@ def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
             level=bytes([part.level]),
             name=f'{node.strip("/")}: {name}',
             message=shortened(part.message, _MAX_LENGTH),
-            hardware_id=shortened(status.model.robot) if status.model else '',
+            hardware_id=shortened(status.text('model', 'robot')),
             values=[
                 KeyValue(key=shortened(key, _MAX_LENGTH), value=shortened(value, _MAX_LENGTH))
-                for key, value in write_values(part).items()
+                for key, value in part.values.items()
             ],
         )
-        for name, part in status.parts().items()
+        for name, part in status.items()
     ]
     return message
 
 
 def read_status(message: Any, node: str) -> NodeStatus | None:
-    """
-    Read the status of the node with the fully qualified name `node`.
-
-    Return None if the message is from another node. Values that cannot be read keep their
-    defaults, because the node may have another version of this package.
-    """
+    """Read the status of a node; return None if the message is from another node."""
     prefix = f'{node.strip("/")}: '
-    parts = {
-        status.name.removeprefix(prefix).replace(' ', '_'): status
-        for status in message.status
-        if status.name.startswith(prefix)
-    }
-    if 'loop' not in parts:
-        return None
-    known = {name: _read_part(kind, parts[name]) for name, kind in _PARTS.items() if name in parts}
-    return NodeStatus(**known)
-
-
-def _read_part(kind: type[Part], message: Any) -> Any:
-    values = {pair.key: pair.value for pair in message.values}
-    known: dict[str, Any] = {}
-    for key in _KEYS[kind]:
-        try:
-            value = key.read(values)
-        except ValueError:
-            continue
-        if value is not None:
-            known[key.value] = value
-    return kind(Level(message.level[0]), message.message, **known)
+    status = NodeStatus(
+        (
+            each.name.removeprefix(prefix),
+            Part(
+                Level(each.level[0]), each.message, {pair.key: pair.value for pair in each.values}
+            ),
+        )
+        for each in message.status
+        if each.name.startswith(prefix)
+    )
+    return status if 'loop' in status else None

@@ -4,16 +4,40 @@ from __future__ import annotations
 
 from collections import Counter
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.status import ClockStatus, NodeNames, OtherNodesStatus
-from ..control.status_text import judge_clock
+from ..errors import listed
 
 _DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
 _MAX_CHECKS = 10  # longest wait for the name of a subscriber, in checks
 _UNKNOWN = 'a node with an unknown name'
+_MOST_NAMES = 5  # largest number of node names in one message
+
+
+class OtherNodes(NamedTuple):
+    """Other nodes that use the topic of the commands, or have the name of this node."""
+
+    commands: str
+    """Topic of the commands."""
+    subscribers: str = ''
+    """Names of the nodes that subscribe to the commands."""
+    rivals: str = ''
+    """Names of the other nodes that publish the commands."""
+    namesakes: int = 0
+    """Number of other nodes with the name of this node."""
+
+
+class SimulatedClock(NamedTuple):
+    """The clock of a simulation."""
+
+    time: float
+    """Simulated time [s]; 0 if none has arrived."""
+    unchanged_for: float
+    """Time since the last change of the simulated time, measured by a steady clock [s]."""
+    publishers: int
+    """Number of publishers of /clock."""
 
 
 class Graph:
@@ -67,7 +91,7 @@ class Graph:
         self._has_subscribers = bool(commands.get_subscription_count())
         subscribers = self._subscribers(commands) if self._has_subscribers else ()
         self._reported = commands.topic_name
-        names = NodeNames.of(subscribers) if subscribers else 'no subscriber yet'
+        names = listed(subscribers, _MOST_NAMES) or 'no subscriber yet'
         return f'{commands.topic_name} ({names})'
 
     def subscriber_change(self) -> str:
@@ -90,9 +114,9 @@ class Graph:
         if not has_subscribers:
             return f'the last subscriber of {self._reported} is gone'
         self._reported = commands.topic_name
-        return f'first subscriber of {self._reported}: {NodeNames.of(names)}'
+        return f'first subscriber of {self._reported}: {listed(names, _MOST_NAMES)}'
 
-    def others(self) -> OtherNodesStatus:
+    def others(self) -> OtherNodes:
         """
         Return the interfering nodes that both this call and the previous call have found.
 
@@ -111,25 +135,23 @@ class Graph:
             for name, namespace in self._node.get_node_names_and_namespaces()
         )
         namesakes = nodes[self._name] - 1
-        seen = OtherNodesStatus(
+        seen = OtherNodes(
             commands=topic,
-            subscribers=NodeNames.of(self._subscribers(commands)),
-            rivals=NodeNames.of(sorted(rivals & self._last_rivals)),
+            subscribers=listed(self._subscribers(commands), _MOST_NAMES),
+            rivals=listed(sorted(rivals & self._last_rivals), _MOST_NAMES),
             namesakes=max(0, min(namesakes, self._last_namesakes)),
         )
         self._last_rivals, self._last_namesakes = rivals, namesakes
         return seen
 
-    def clock(self) -> ClockStatus:
-        """Judge the simulated clock by the time since its last change."""
+    def clock(self) -> SimulatedClock:
+        """Return the simulated time, and the time since its last change."""
         now = self._node.get_clock().now().nanoseconds
         steady = time.monotonic()
         if now != self._last_time:
             self._last_time, self._last_advance = now, steady
-        seconds, unchanged_for = now * 1e-9, steady - self._last_advance
         publishers = int(self._node.count_publishers(self._node.resolve_topic_name('/clock')))
-        judgement = judge_clock(seconds, unchanged_for, publishers)
-        return ClockStatus(*judgement, seconds, unchanged_for, publishers)
+        return SimulatedClock(now * 1e-9, steady - self._last_advance, publishers)
 
     def _rivals(self, commands: Any) -> set[str]:
         """Return the other nodes that publish on the topic of `commands`, with the same type."""

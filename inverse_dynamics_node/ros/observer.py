@@ -21,12 +21,11 @@ from std_msgs.msg import String
 
 from ..control.contact import CUTOFF
 from ..control.filters import LowPass
-from ..control.status import NodeStatus
 from ..errors import InverseDynamicsError, JointStateError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from .cdr import JointStateReader
-from .diagnostics import read_status
+from .diagnostics import NodeStatus, read_status
 from .middleware import explained_start, LATCHED, QUEUED, start_ros
 
 _MOST_WARNINGS = 50
@@ -153,8 +152,9 @@ class Observer:
             status = read_status(message, self.name)
             if status is not None:
                 self.status, self.status_time = status, time.monotonic()
-                if status.joint_states and status.joint_states.rate is not None:
-                    self._state_rates.append(status.joint_states.rate)
+                rate = status.number('joint states', 'rate [Hz]')
+                if rate is not None:
+                    self._state_rates.append(rate)
         for message, _ in self._take(self._logs, Log):
             self._store_log(message)
         has_changed = False
@@ -245,12 +245,12 @@ class Observer:
 
     def _follow_topics(self, status: NodeStatus) -> None:
         """Subscribe to the joint topics under the names that the diagnostics report."""
-        states, efforts = status.joint_states, status.efforts
-        for name, topic, profile in (
-            ('joint_states', states.topic if states else '', _QUEUE),
-            ('joint_efforts', efforts.topic if efforts else '', _LATEST),
-            ('external_efforts', efforts.external_topic if efforts else '', _LATEST),
+        for name, part, key, profile in (
+            ('joint_states', 'joint states', 'topic', _QUEUE),
+            ('joint_efforts', 'efforts', 'topic with names', _LATEST),
+            ('external_efforts', 'efforts', 'topic of the external efforts', _LATEST),
         ):
+            topic = status.text(part, key)
             if topic and topic != self._topics.get(name):
                 if name in self._subscriptions:
                     self._node.destroy_subscription(self._subscriptions[name])

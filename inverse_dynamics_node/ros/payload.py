@@ -59,11 +59,10 @@ def apply_payload(node: Node, observer: Observer, link: str, payload: RigidBody)
 
 
 def _has_payload(observer: Observer, link: str, payload: RigidBody) -> bool:
-    model = observer.status.model if observer.status else None
-    if model is None or len(model.payload_coms) != 3 * len(model.payloads):
-        return False
-    for k, load in enumerate(model.payloads):
-        com = model.payload_coms[3 * k : 3 * k + 3]
-        if load.link == link and math.isclose(load.mass, payload.mass, rel_tol=_PRECISION):
-            return math.dist(com, payload.com.tolist()) < _PRECISION
-    return False
+    loads = observer.status.payloads() if observer.status else []
+    return any(
+        name == link
+        and math.isclose(mass, payload.mass, rel_tol=_PRECISION)
+        and math.dist(com, payload.com.tolist()) < _PRECISION
+        for name, mass, com in loads
+    )

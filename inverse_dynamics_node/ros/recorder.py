@@ -82,7 +82,7 @@ class JointStateRecorder:
     def topic(self) -> str:
         """Topic of the joint states; empty if unknown."""
         status = self._observer.status
-        return status.joint_states.topic if status and status.joint_states else ''
+        return status.text('joint states', 'topic') if status else ''
 
     def wait(self, joints: Sequence[str]) -> None:
         """
@@ -155,7 +155,8 @@ class JointStateRecorder:
 
     def _has_all_joints(self) -> bool:
         status = self._observer.status
-        return bool(status and status.model and self._rows.joints.keys() >= {*status.model.joints})
+        joints = status.names('model', 'joints') if status else []
+        return bool(joints) and self._rows.joints.keys() >= {*joints}
 
     def _problem(self, joints: Sequence[str]) -> str:
         """Return why nothing can be recorded, or an empty string."""
@@ -165,8 +166,9 @@ class JointStateRecorder:
                 f'no diagnostics from {name} for {_PATIENCE:g} s: the node has ended, or cannot '
                 'be reached'
             )
-        if not self.topic or status.model is None:
-            return f'{name} is {status.loop.state}, so it gets no joint states: configure the node'
+        if not self.topic:
+            state = status.text('loop', 'state')
+            return f'{name} is {state}, so it gets no joint states: configure the node'
         if not found:
             return (
                 f'no joint states on {self.topic} for {_PATIENCE:g} s: start the driver of the '
@@ -174,7 +176,7 @@ class JointStateRecorder:
             )
         if found.keys().isdisjoint(joints):
             return f'{self.topic} has joints {", ".join(found)}; expected {", ".join(joints)}'
-        missing = [joint for joint in status.model.joints if joint not in found]
+        missing = [joint for joint in status.names('model', 'joints') if joint not in found]
         if missing:
             return f'no joint states of {", ".join(missing)} on {self.topic} for {_PATIENCE:g} s'
         if not any(found.get(joint) for joint in joints):

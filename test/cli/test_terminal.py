@@ -12,16 +12,6 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.analysis.diagnosis.live import Agreement, Obstacle, Outcome
 from inverse_dynamics_node.cli import live_view
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.control.status import (
-    EffortsStatus,
-    Level,
-    LoopStatus,
-    ModelStatus,
-    NodeNames,
-    NodeStatus,
-    OtherNodesStatus,
-    Payload,
-)
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -109,13 +99,21 @@ def read(master):
 
 
 def hostile_observer():
+    diagnostics = pytest.importorskip('inverse_dynamics_node.ros.diagnostics')
     robot = load_urdf(STANFORD.read_text().replace('joint_2', f'joint_2{C1}{MARKUP}'))
     odd = f'x{ESCAPE}{C1}{MARKUP}\nforged'
-    status = NodeStatus(
-        LoopStatus(Level.ERROR, odd, state=odd),
-        other_nodes=OtherNodesStatus(commands=odd, subscribers=NodeNames((odd,))),
-        efforts=EffortsStatus(receivers=1),
-        model=ModelStatus(payloads=(Payload(1.0, odd),)),
+    keys = {
+        'loop': ('state', 'mode'),
+        'other nodes': ('commands', 'subscribers of the commands'),
+        'efforts': ('receivers',),
+        'model': ('payload',),
+    }
+    level = diagnostics.Level.ERROR
+    status = diagnostics.NodeStatus(
+        {
+            name: diagnostics.Part(level, odd, dict.fromkeys(found, odd) | {'receivers': '1'})
+            for name, found in keys.items()
+        }
     )
     line = SimpleNamespace(time=time.time(), level='WARN', text=odd)
     sample = SimpleNamespace(positions=np.zeros(6), measured=np.zeros(6), modelled=np.zeros(6),

@@ -192,7 +192,7 @@ def test_the_log_reports_a_lost_imu_and_its_return(run_node, robot):
     robot.cease(publication)
     robot.wait_for_text(node, 'the motion of the base is unknown: no message on imu for more')
     robot.keep_publishing('imu', measured)
-    robot.wait_for_text(node, 'the motion of the base is known again')
+    robot.wait_for_text(node, 'solved: the motion of the base is unknown')
     robot.wait_for_command(HOLD)
 
 

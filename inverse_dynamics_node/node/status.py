@@ -1,0 +1,324 @@
+"""
+Writes the status of the node: the level, the message and the values of each part.
+
+This is the only place where they are chosen. `/diagnostics` publishes them as they are, the log
+prints the problems that are new, and `watch` reads some of the values by their keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..control.loop import ControlLoop
+from ..control.settings import Mode
+from ..control.status_text import (
+    activity,
+    describe_implausible,
+    describe_late,
+    describe_lost_imu,
+    describe_lost_states,
+    describe_motion,
+    describe_unstable_gains,
+)
+from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
+from ..ros.diagnostics import Level, NodeStatus, NONE, Part
+from ..ros.graph import OtherNodes, SimulatedClock
+from .monitor import Monitor
+
+_SLOW = 0.95  # the loop is too slow below this fraction of the requested rate
+_LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
+_DISCOVERY = 1.0  # [s]; the discovery of a publisher may take this long
+_PAUSE = 5.0  # [s]; a longer standstill of simulated time is reported
+
+OUTDATED = (
+    'another robot description has arrived; to use it, deactivate, clean up and configure the node'
+)
+
+
+class Surroundings(NamedTuple):
+    """The lifecycle state and the connections of the node."""
+
+    state: str
+    """Lifecycle state."""
+    is_active: bool
+    name: str
+    """Fully qualified name of this node."""
+    receivers: int
+    """Number of subscriptions to the commands."""
+    publishers: int
+    """Number of publishers of joint states."""
+    silence: float
+    """Length of the silence on joint_states [s]; see `lasting_silence`."""
+    state_rate: float
+    """Rate at which all commanded joints were updated since the last report [Hz]."""
+    inputs: tuple[str, str]
+    """Topics of the joint states and of the IMU, with their numbers of publishers."""
+    topics: tuple[str, str, str]
+    """Topics joint_states, ~/joint_efforts and ~/external_efforts."""
+    others: OtherNodes
+    clock: SimulatedClock | None
+    """None unless the node uses simulated time."""
+
+
+def describe_node(
+    now: float, loop: ControlLoop | None, around: Surroundings, monitor: Monitor
+) -> NodeStatus:
+    """
+    Return the status since the last report; `now` is in [s].
+
+    `loop` is None until the node is configured. The parts about the robot are then missing.
+    """
+    status = NodeStatus()
+    status['loop'] = _loop(now, loop, around, monitor)
+    status['messages'] = _messages(monitor)
+    status['other nodes'] = _other_nodes(loop, around)
+    if around.clock is not None:
+        status['clock'] = _clock(around.clock)
+    if loop is not None:
+        missing = loop.missing(
+            *around.inputs, now if loop.controller.phase is Phase.WAITING else None
+        )
+        missing = [f'no command yet: waiting for {each}' for each in missing]
+        imu = missing.pop() if loop.lacks_imu else describe_lost_imu(now, loop)
+        status['joint states'] = _joint_states(now, loop, around, '; '.join(missing))
+        status['reference'] = _reference(now, loop, around)
+        status['efforts'] = _efforts(now, loop, around, monitor)
+        status['model'] = _model(loop, imu)
+    return status
+
+
+def _part(fine: str, problems: list[tuple[Level, str]], values: dict[str, str]) -> Part:
+    """Return a part with the texts of its problems; empty texts are no problems."""
+    found = [(level, text) for level, text in problems if text]
+    if not found:
+        return Part(Level.OK, fine, values)
+    return Part(max(level for level, _ in found), '; '.join(text for _, text in found), values)
+
+
+def _loop(now: float, loop: ControlLoop | None, around: Surroundings, monitor: Monitor) -> Part:
+    rate, period = monitor.rate, monitor.period
+    values = {
+        'state': around.state,
+        'rate [Hz]': f'{rate:.1f}',
+        'requested rate [Hz]': f'{1.0 / period:g}' if period else 'that of the joint states',
+        'period p99 [ms]': _milliseconds(monitor.periods, 99.0),
+        'period worst [ms]': _milliseconds(monitor.periods, 100.0),
+        'compute time p99 [ms]': _milliseconds(monitor.durations, 99.0),
+        'overruns': str(monitor.overruns),
+    }
+    if loop is None or not around.is_active:
+        return _part(around.state, [], values)
+    phase, doing = loop.controller.phase, activity(now, loop)
+    values |= {
+        'mode': loop.controller.settings.mode.value,
+        'phase': phase.value,
+        'dry run': _yes_or_no(loop.dry_run.is_active),
+        'gain': f'{loop.controller.shaper.gain:.3f}',
+    }
+    is_stopped = phase in (Phase.LIMIT_STOP, Phase.NO_SOLUTION)
+    is_slow = 0.0 < rate * period < _SLOW
+    problems = [
+        (Level.ERROR, doing if is_stopped else ''),
+        (Level.WARN, f'only {rate:.1f} commands/s' if is_slow else ''),
+    ]
+    return _part(doing, problems, values)
+
+
+def _messages(monitor: Monitor) -> Part:
+    recent = f'messages rejected since the last report: {monitor.rejections}'
+    return _part(
+        f'messages rejected in total: {sum(monitor.rejected.values())}',
+        [(Level.WARN, recent if monitor.rejections else '')],
+        {text: str(count) for text, count in monitor.rejected.items()},
+    )
+
+
+def _other_nodes(loop: ControlLoop | None, around: Surroundings) -> Part:
+    others, problems = around.others, []
+    if others.rivals:
+        problems.append(f'{others.commands} is also published by {others.rivals}')
+    if others.namesakes:
+        is_one = others.namesakes == 1
+        nodes = 'another node has' if is_one else f'{others.namesakes} other nodes have'
+        problems.append(f'{nodes} the name {around.name}')
+    if problems:
+        problems[-1] += ' (stop the other node; a killed node stays listed for up to 20 s)'
+    # Nodes may take turns at publishing on a topic, but must never have the same name.
+    is_sending = around.is_active and not (loop and loop.dry_run.is_active)
+    level = Level.ERROR if is_sending or others.namesakes else Level.WARN
+    return _part(
+        'no other node publishes the commands or has this name',
+        [(level, text) for text in problems],
+        {
+            'commands': others.commands,
+            'subscribers of the commands': others.subscribers or NONE,
+            'other publishers of the commands': others.rivals or NONE,
+            'other nodes with this name': str(others.namesakes),
+        },
+    )
+
+
+def _clock(clock: SimulatedClock) -> Part:
+    """Report simulated time that does not advance."""
+    is_late = clock.unchanged_for >= _PAUSE
+    fine, problem = 'simulated time advances', ''
+    level = Level.WARN if clock.publishers or not is_late else Level.ERROR
+    if not clock.time and not clock.publishers:
+        fine = 'no message on /clock yet'
+        if clock.unchanged_for >= _DISCOVERY:
+            problem = 'use_sim_time is set, but nothing publishes /clock'
+    elif is_late:
+        problem = f'simulated time has not advanced for more than {_PAUSE:g} s' + (
+            f' (publishers of /clock: {clock.publishers}); is the simulation paused?'
+            if clock.publishers
+            else ': nothing publishes /clock any more'
+        )
+    return _part(
+        fine,
+        [(level, problem)],
+        {
+            'time [s]': f'{clock.time:.3f}',
+            'unchanged for [s]': f'{clock.unchanged_for:.1f}',
+            'publishers': str(clock.publishers),
+        },
+    )
+
+
+def _joint_states(now: float, loop: ControlLoop, around: Surroundings, missing: str) -> Part:
+    collector, settings = loop.collector, loop.controller.settings
+    if_lost = Level.ERROR if around.is_active else Level.WARN
+    unseen, without_velocity = collector.unseen(), collector.without_velocity()
+    problems = [
+        (if_lost, missing or describe_lost_states(now, loop)),
+        (if_lost, _describe_silence(around)),
+        (Level.ERROR, describe_motion(now, loop)),
+        *((Level.WARN, text) for text in describe_late(loop, now)),
+        *((Level.WARN, text) for text in describe_implausible(loop).values()),
+        *(
+            (Level.WARN, f"'{name}' is not reported; its locked position is used")
+            for name in unseen
+        ),
+    ]
+    if without_velocity and settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE):
+        text = f'joints reported without velocity have no damping in {settings.mode.value}'
+        problems.append((Level.WARN, text))
+    return _part(
+        'fresh',
+        problems,
+        {
+            'topic': around.topics[0],
+            'rate [Hz]': f'{around.state_rate:.1f}',
+            'age [s]': _age(now, collector.time),
+            'timeout [s]': f'{settings.state_timeout:g}',
+            'publishers': str(around.publishers),
+            'late, not commanded': _listed(collector.late(now)),
+            'locked, never reported': _listed(unseen),
+            'without velocity': _listed(without_velocity),
+        },
+    )
+
+
+def _describe_silence(around: Surroundings) -> str:
+    """Describe connected publishers that send no joint states; return '' if there are none."""
+    if not around.publishers or around.silence < _LONG_SILENCE:
+        return ''
+    publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
+    return (
+        f'no message on joint_states for {around.silence:.0f} s, although '
+        f'{around.publishers} {publishers} connected (a killed publisher stays connected for up '
+        'to 20 s); if ros2 topic hz shows messages, restart this node'
+    )
+
+
+def _reference(now: float, loop: ControlLoop, around: Surroundings) -> Part:
+    controller = loop.controller
+    fine = 'followed' if controller.phase is Phase.RUNNING else 'no reference is used'
+    is_too_far = around.is_active and controller.phase in TOO_FAR_PHASES
+    return _part(
+        'disabled' if controller.is_stopping else fine,
+        [(Level.WARN, controller.phase.value if is_too_far else '')],
+        {
+            'age [s]': _age(now, loop.reference.time if loop.reference else -np.inf),
+            'timeout [s]': f'{controller.settings.reference_timeout:g}',
+            'mode': controller.settings.mode.value,
+        },
+    )
+
+
+def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monitor) -> Part:
+    controller, cut, unmatched, gains = loop.controller, _listed(monitor.cut), '', ''
+    if around.is_active and not around.receivers and not loop.dry_run.is_active:
+        unmatched, names = 'the commands have no subscribers', around.others.subscribers
+        if names:
+            unmatched += f' that match; another type or quality of service is used by {names}'
+    if around.is_active and controller.phase in COMPUTING_PHASES:
+        gains = describe_unstable_gains(loop)
+    return _part(
+        activity(now, loop),
+        [
+            (Level.WARN, unmatched),
+            (Level.WARN, f'effort cut to its limit: {cut}' if monitor.cut else ''),
+            (Level.WARN, gains),
+        ],
+        {
+            'receivers': str(around.receivers),
+            'topic with names': around.topics[1],
+            'topic of the external efforts': around.topics[2],
+            'measured efforts contain gravity': _yes_or_no(loop.measures_gravity),
+            'scale of the measured efforts': _listed(
+                loop.external_effort_estimator.scale[loop.index], 'g'
+            ),
+            'scale': _listed(controller.scale, 'g'),
+            'limits [N m, N]': _listed(controller.limits, 'g'),
+            'cut to limit since the last report': cut,
+            **{f'{joint} cut to limit': str(count) for joint, count in monitor.clamped.items()},
+            **{f'{joint} slowed': str(count) for joint, count in monitor.slowed.items()},
+        },
+    )
+
+
+def _model(loop: ControlLoop, imu: str) -> Part:
+    """Report the robot and its loads; `imu` says why the motion of the base is unknown, if so."""
+    robot, loads = loop.robot, loop.loads
+    count = len(robot.warnings)
+    warnings = f'{count} warning{"s" * (count > 1)} about the robot description'
+    payloads = loads.payloads
+    return _part(
+        f"robot '{robot.name}'",
+        [
+            (Level.ERROR, imu),
+            (Level.WARN, OUTDATED if loop.is_outdated else ''),
+            (Level.WARN, warnings if count else ''),
+        ],
+        {
+            'robot': robot.name,
+            'mass [kg]': f'{np.sum(robot.mass):.4g}',
+            'joints': _listed(loop.controller.joints),
+            'payload': _listed(f'{load.mass:g} kg on {link}' for link, load in payloads.items()),
+            'payload com [m]': _listed((x for load in payloads.values() for x in load.com), '.4g'),
+            'gravity [m/s^2]': (
+                _listed(loads.gravity, '.3f') if loads.include_gravity else 'not included'
+            ),
+            'gravity in the root link [m/s^2]': _listed(loads.gravity_at_root, '.3f'),
+            **{f'warning {k}': str(each) for k, each in enumerate(robot.warnings, start=1)},
+        },
+    )
+
+
+def _listed(values: Iterable[Any], form: str = '') -> str:
+    return ', '.join(format(value, form) for value in values) or NONE
+
+
+def _milliseconds(times: list[float], percentile: float) -> str:
+    return f'{1e3 * np.percentile(times, percentile):.3f}' if times else NONE
+
+
+def _age(now: float, time: float) -> str:
+    return f'{now - time:.3f}' if np.isfinite(time) else 'never'
+
+
+def _yes_or_no(flag: bool) -> str:
+    return 'yes' if flag else 'no'

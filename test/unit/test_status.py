@@ -1,0 +1,613 @@
+"""Conditions of the node, and the level, the message and the values that its status then has."""
+
+import dataclasses
+import logging
+import math
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.control.laws import Reference
+from inverse_dynamics_node.control.loop import Command, ControlLoop
+from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings, StalePolicy
+from inverse_dynamics_node.control.status_text import describe_imu_frame
+from inverse_dynamics_node.control.supervision import DryRun
+from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
+from inverse_dynamics_node.robot.model import ModelWarning
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+from states import store_state
+
+pytest.importorskip('rclpy')
+
+from builtin_interfaces.msg import Time
+from inverse_dynamics_node.node.log import NodeLog
+from inverse_dynamics_node.node.monitor import lasting_silence, Monitor
+from inverse_dynamics_node.node.status import describe_node, Surroundings
+from inverse_dynamics_node.ros.diagnostics import (
+    Level,
+    NodeStatus,
+    Part,
+    read_status,
+    write_status,
+)
+from inverse_dynamics_node.ros.graph import OtherNodes, SimulatedClock
+
+OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
+ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+ARM = load_urdf(STANFORD)
+JOINTS = ROBOT.joint_names
+BOTH = ', '.join(JOINTS)
+NAMES = ARM.joint_names
+TIP = ROBOT.link_names[-1]
+REST, REST6 = np.zeros(2), np.zeros(6)
+WAITING = f'waiting for the positions of {BOTH} on /joint_states (1 publisher)'
+NEITHER = np.zeros(2, dtype=bool)
+SECOND = np.array([False, True])
+FINE = Surroundings(
+    state='active',
+    is_active=True,
+    name='/arm',
+    receivers=1,
+    publishers=1,
+    silence=0.0,
+    state_rate=123.4,
+    inputs=('/joint_states (1 publisher)', '/imu (0 publishers)'),
+    topics=('/joint_states', '/arm/joint_efforts', '/arm/external_efforts'),
+    others=OtherNodes('/arm/commands'),
+    clock=None,
+)
+CLOSED = Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE
+RISING = 'efforts rise again after joint states have arrived for 0.2 s without a gap longer than '
+TOO_FAR = 'starts too far away or jumps too far (max_tracking_error: 0.2 rad or m)'
+NO_STATE = f'no joint state of {BOTH} for more than 0.1 s'
+NO_SUBSCRIBERS = 'the commands have no subscribers that match; another type or quality of service'
+NO_DAMPING = 'joints reported without velocity have no damping in '
+NOT_SOLVED = "joint state and reference: the acceleration of joint 'shoulder' is 1.7e+308"
+NO_CLOCK = 'use_sim_time is set, but nothing publishes /clock'
+OSCILLATING = 'shoulder may oscillate: with a delay of 5 ms, kd should be at most 2e+02'
+DEGREES = [0.0, 57.3, 0.5, 0.0, 4.0, 0.0]
+IN_DEGREES = (
+    'joint_2 is at 57.3 rad, outside its limits -1.745 to 1.745 (in degrees?); '
+    'joint_5 is at 4 rad, outside its limits -1.92 to 1.92'
+)
+
+
+class Node:
+    """A control loop, what surrounds it, and the statistics since the last report."""
+
+    def __init__(self, robot=ROBOT, joints=(), *, has_imu=False, locked=None, **settings):
+        options = {'has_imu': has_imu, 'locked': locked, 'period': 0.05}
+        self.loop = ControlLoop(robot, joints, Settings(**settings), **options)
+        self.monitor = Monitor()
+        self.around = FINE
+        self.now = 0.0
+
+    def amid(self, **around):
+        """Change what surrounds the loop."""
+        self.around = self.around._replace(**around)
+        return self
+
+    def receive(self, now, q=(0.1, 0.2), qd=(0.0, 0.0), joints=JOINTS):
+        store_state(self.loop.collector, now, joints, list(q), list(qd))
+        return self
+
+    def step(self, now, until=None):
+        """Step at a time, or every 0.05 s until another time."""
+        for time in (now,) if until is None else np.arange(now, until, 0.05):
+            self.now = float(time)
+            self.loop.step(self.now)
+        return self
+
+    def refer(self, now, accelerations=REST, positions=None):
+        self.loop.reference = Reference(accelerations, REST, now, positions=positions)
+        return self
+
+    def stop(self):
+        self.loop.controller.stop()
+        return self
+
+    def dry(self):
+        self.loop.dry_run = DryRun(is_active=True)
+        return self
+
+    def status(self):
+        status = describe_node(self.now, self.loop, self.around, self.monitor)
+        self.monitor.begin_report()
+        for level, message, values in status.values():
+            assert isinstance(level, Level)
+            assert message
+            assert all(isinstance(text, str) and text != 'None' for text in values.values())
+        return status
+
+
+def fresh(**settings):
+    return Node(**settings).receive(0.0).step(0.0)
+
+
+def lost(**settings):
+    return fresh(**settings).step(0.0, until=0.2)
+
+
+def stopped(end, **settings):
+    return fresh(**settings).step(0.0, until=0.1).stop().step(0.1, until=end)
+
+
+def fallen():
+    return fresh().step(0.0, until=2.05)
+
+
+def inactive(node):
+    return node.amid(is_active=False, state='inactive')
+
+
+def amid_others(**others):
+    return fresh().amid(others=OtherNodes('/c', **others))
+
+
+def limit_stopped():
+    node = fresh()
+    node.loop.controller.limit_stop('elbow is too fast')
+    return node.step(0.05)
+
+
+def too_far(mode):
+    node = fresh(mode=mode, max_tracking_error=0.2)
+    return node.refer(0.05, positions=REST + 3.0).step(0.06)
+
+
+def rejecting():
+    node = fresh()
+    node.monitor.reject('imu', 'broken')
+    node.monitor.reject('imu', 'broken')
+    return node
+
+
+def with_cuts(*flags):
+    node = fresh()
+    for flag in flags:
+        node.monitor.step(0.0, 1e-4, Command(REST, flag, SECOND), JOINTS)
+    return node
+
+
+def late(now):
+    """Return an arm with a joint that is locked, and one that is late some time after 0 s."""
+    names, q = ARM.joint_names, [0.0, 0.0, 0.5, 0.0, 0.0]
+    node = Node(ARM, names[:4], locked={names[4]: 0.0})
+    node.receive(0.0, q, [0.0] * 5, [*names[:4], names[5]])
+    return node.receive(now, q[:4], [0.0] * 4, names[:4]).step(now)
+
+
+def with_imu(now, *, has_message=True):
+    node = Node(has_imu=True).receive(now)
+    if has_message:
+        node.loop.loads.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
+    return node.step(now)
+
+
+def warned(count):
+    warnings = tuple(ModelWarning(f'text {k}', 'hint') for k in range(count))
+    return Node(dataclasses.replace(ROBOT, warnings=warnings))
+
+
+def outdated():
+    node = fresh()
+    node.loop.is_outdated = True
+    return node
+
+
+ACTIVITIES = [
+    (fresh, 'floating: no reference'),
+    (lambda: fresh().dry(), 'dry run: floating: no reference'),
+    (lambda: fresh().refer(0.0).step(0.05), 'following the reference'),
+    (
+        lambda: fresh().refer(0.0).receive(1.0).step(1.0),
+        'floating: no reference for more than 0.5 s',
+    ),
+    (
+        lambda: fresh(mode=Mode.GRAVITY_COMPENSATION),
+        'floating: the reference is not used in mode gravity_compensation',
+    ),
+    (lambda: fresh(mode=Mode.JOINT_IMPEDANCE), 'holding position: no reference'),
+    (lambda: too_far(Mode.COMPUTED_TORQUE), f'floating: the reference {TOO_FAR}'),
+    (lambda: too_far(Mode.JOINT_IMPEDANCE), f'holding position: the reference {TOO_FAR}'),
+    (lost, f'ramping efforts down: {NO_STATE}'),
+    (lambda: lost(on_stale_state=StalePolicy.HOLD), f'keeping the last efforts: {NO_STATE}'),
+    (fallen, f'stopped, zeros sent: {NO_STATE}'),
+    (lambda: fallen().dry(), f'dry run: stopped: {NO_STATE}'),
+    (lambda: fallen().receive(2.0).step(2.0), RISING),
+    (lambda: stopped(0.15), 'ramping efforts down: disabled by ~/enable'),
+    (lambda: stopped(2.0), 'stopped, zeros sent: disabled by ~/enable'),
+    (
+        lambda: stopped(0.15, on_stale_state=StalePolicy.HOLD),
+        'ramping efforts down: disabled by ~/enable',
+    ),
+]
+
+
+@pytest.mark.parametrize(('make', 'words'), ACTIVITIES)
+def test_the_activity_is_the_message_of_loop_and_efforts(make, words):
+    status = make().status()
+    assert words in status['loop'].message
+    assert status['loop'].message == status['efforts'].message
+    assert status['loop'].level is status['efforts'].level is OK
+
+
+@pytest.mark.parametrize(
+    ('make', 'part', 'level', 'words'),
+    [
+        (lambda: inactive(fresh()), 'loop', OK, 'inactive'),
+        (limit_stopped, 'loop', ERROR, 'stopped: elbow is too fast'),
+        (lambda: fresh().refer(0.0, REST + 1.7e308).step(0.01), 'loop', ERROR, NOT_SOLVED),
+        (fresh, 'messages', OK, 'messages rejected in total: 0'),
+        (rejecting, 'messages', WARN, 'messages rejected since the last report: 2'),
+        (fresh, 'other nodes', OK, 'no other node publishes the commands'),
+        (lambda: amid_others(rivals='/a'), 'other nodes', ERROR, '/c is also published by /a ('),
+        (lambda: inactive(amid_others(rivals='/a')), 'other nodes', WARN, 'published by /a'),
+        (lambda: amid_others(rivals='/a').dry(), 'other nodes', WARN, 'published by /a'),
+        (lambda: inactive(amid_others(namesakes=1)), 'other nodes', ERROR, 'has the name /arm'),
+        (lambda: amid_others(namesakes=2), 'other nodes', ERROR, '2 other nodes have the name'),
+        (fresh, 'joint states', OK, 'fresh'),
+        (lambda: Node().step(0.0), 'joint states', ERROR, f'no command yet: {WAITING}'),
+        (lambda: inactive(Node().step(0.0)), 'joint states', WARN, WAITING),
+        (
+            lambda: Node().receive(0.0).step(9.0),
+            'joint states',
+            ERROR,
+            f'for new joint states of {BOTH}',
+        ),
+        (lost, 'joint states', ERROR, f'joint states are lost: {BOTH}'),
+        (lambda: inactive(lost()), 'joint states', WARN, f'joint states are lost: {BOTH}'),
+        (lambda: fallen().receive(2.0).step(2.0), 'joint states', ERROR, RISING),
+        (
+            lambda: fresh().amid(silence=9.0),
+            'joint states',
+            ERROR,
+            'for 9 s, although 1 publisher is',
+        ),
+        (
+            lambda: fresh().amid(silence=9.0, publishers=2),
+            'joint states',
+            ERROR,
+            '2 publishers are',
+        ),
+        (lambda: fresh().amid(silence=4.0), 'joint states', OK, 'fresh'),
+        (lambda: fresh().amid(silence=9.0, publishers=0), 'joint states', OK, 'fresh'),
+        (lambda: Node(ARM).receive(0.0, DEGREES, REST6, NAMES), 'joint states', WARN, IN_DEGREES),
+        (lambda: late(0.05), 'joint states', WARN, f"'{NAMES[4]}' is not reported; its locked"),
+        (lambda: late(9.0), 'joint states', WARN, f'set locked_positions.{NAMES[5]}; '),
+        (lambda: Node().receive(0.0, qd=()), 'joint states', OK, 'fresh'),
+        (lambda: Node(mode=CLOSED[0]).receive(0.0, qd=()), 'joint states', WARN, NO_DAMPING),
+        (lambda: Node(mode=CLOSED[1]).receive(0.0, qd=()), 'joint states', WARN, NO_DAMPING),
+        (fresh, 'reference', OK, 'no reference is used'),
+        (lambda: fresh().refer(0.0).step(0.05), 'reference', OK, 'followed'),
+        (lambda: fresh().stop().step(0.05), 'reference', OK, 'disabled'),
+        (lambda: too_far(CLOSED[0]), 'reference', WARN, 'floating: the reference is too far away'),
+        (lambda: too_far(CLOSED[1]), 'reference', WARN, 'position: the reference is too far away'),
+        (lambda: fresh().amid(receivers=0), 'efforts', WARN, 'the commands have no subscribers'),
+        (lambda: fresh().amid(receivers=0).dry(), 'efforts', OK, 'dry run: floating'),
+        (lambda: amid_others(subscribers='/b').amid(receivers=0), 'efforts', WARN, NO_SUBSCRIBERS),
+        (lambda: with_cuts(SECOND, ~SECOND), 'efforts', WARN, 'cut to its limit: elbow, shoulder'),
+        (lambda: fresh(mode=CLOSED[0], kd=1e4), 'efforts', WARN, OSCILLATING),
+        (fresh, 'model', OK, f"robot '{ROBOT.name}'"),
+        (lambda: with_imu(0.1), 'model', OK, f"robot '{ROBOT.name}'"),
+        (
+            lambda: with_imu(0.1, has_message=False),
+            'model',
+            ERROR,
+            'the base on /imu (0 publishers)',
+        ),
+        (lambda: with_imu(0.1, has_message=False), 'joint states', OK, 'fresh'),
+        (lambda: with_imu(0.5), 'model', ERROR, 'no message on imu for more than 0.2 s'),
+        (lambda: warned(1), 'model', WARN, '1 warning about the robot description'),
+        (lambda: warned(2), 'model', WARN, '2 warnings about the robot description'),
+        (outdated, 'model', WARN, 'another robot description has arrived'),
+    ],
+)
+def test_a_condition_has_a_level_and_a_message(make, part, level, words):
+    found = make().status()[part]
+    assert (found.level, words in found.message) == (level, True), found
+
+
+@pytest.mark.parametrize(
+    ('clock', 'level', 'words'),
+    [
+        ((0.0, 0.5, 0), OK, 'no message on /clock yet'),
+        ((0.0, 2.0, 0), WARN, NO_CLOCK),
+        ((0.0, 6.0, 0), ERROR, NO_CLOCK),
+        ((0.0, 6.0, 1), WARN, 'is the simulation paused?'),
+        ((9.0, 0.2, 1), OK, 'simulated time advances'),
+        ((9.0, 6.0, 1), WARN, 'has not advanced for more than 5 s'),
+        ((9.0, 6.0, 0), ERROR, 'more than 5 s: nothing publishes /clock any more'),
+    ],
+)
+def test_simulated_time_that_stands_still_is_reported(clock, level, words):
+    found = fresh().amid(clock=SimulatedClock(*clock)).status()['clock']
+    assert (found.level, words in found.message) == (level, True), found
+
+
+# Times of commands since the last report; None is a pause of the loop.
+@pytest.mark.parametrize(
+    ('period', 'times', 'level', 'values'),
+    [
+        (
+            0.01,
+            [0.01 * k + 0.008 * (k == 50) for k in range(100)],
+            OK,
+            {
+                'rate [Hz]': '100.0',
+                'requested rate [Hz]': '100',
+                'period p99 [ms]': '10.160',
+                'period worst [ms]': '18.000',
+                'compute time p99 [ms]': '0.100',
+                'overruns': '1',
+            },
+        ),
+        (0.01, [0.011 * k for k in range(90)], WARN, {'rate [Hz]': '90.9'}),
+        (1.0, [0.0, 2.0], WARN, {'rate [Hz]': '0.5', 'overruns': '1'}),
+        # A loop that has started within the second is not slow.
+        (0.01, [None, *(0.6 + 0.01 * k for k in range(40))], OK, {'rate [Hz]': '100.0'}),
+        (0.01, [], OK, {'rate [Hz]': '0.0', 'period p99 [ms]': 'none'}),
+        (0.01, [5.0, None, 9.0, 1.0], OK, {'overruns': '0'}),
+        (0.0, [0.0, 0.0, 1.0], OK, {'rate [Hz]': '2.0', 'overruns': '0'}),
+        (0.0, [], OK, {'requested rate [Hz]': 'that of the joint states'}),
+    ],
+)
+def test_rates_and_late_commands(period, times, level, values):
+    node = fresh()
+    node.monitor = Monitor(period)
+    for time in times:
+        if time is None:
+            node.monitor.pause()
+        else:
+            node.monitor.step(time, 1e-4, Command(REST, NEITHER, NEITHER), JOINTS)
+    found = node.status()['loop']
+    assert found.level is level
+    assert (
+        found.message
+        == ('floating: no reference', f'only {values.get("rate [Hz]")} commands/s')[level]
+    )
+    assert values.items() <= found.values.items()
+    assert node.status()['loop'].values['rate [Hz]'] == '0.0'
+
+
+def test_counts_continue_after_a_report_and_lists_do_not():
+    node = with_cuts(SECOND, SECOND, SECOND, ~SECOND)
+    counts = {f'{JOINTS[1]} cut to limit': '3', f'{JOINTS[1]} slowed': '4'}
+    for cut in (f'{JOINTS[1]}, {JOINTS[0]}', 'none'):
+        values = node.status()['efforts'].values
+        assert (counts | {'cut to limit since the last report': cut}).items() <= values.items()
+    for k in range(1000):
+        node.monitor.reject('imu', f'is {k}')
+    found = node.status()['messages']
+    assert found.values['imu: is 0'] == '1'
+    assert len(found.values) <= 21
+    assert sum(map(int, found.values.values())) == 1000
+    assert node.status()['messages'].message == 'messages rejected in total: 1000'
+
+
+def test_without_a_robot_there_are_three_parts():
+    around = FINE._replace(is_active=False, state='unconfigured')
+    status = describe_node(0.0, None, around, Monitor())
+    assert [(name, part.level) for name, part in status.items()] == [
+        ('loop', OK),
+        ('messages', OK),
+        ('other nodes', OK),
+    ]
+    assert not {'mode', 'phase', 'dry run', 'gain'} & status['loop'].values.keys()
+
+
+def described():
+    """Return a status in which as many values as possible are not the defaults."""
+    node = Node(
+        joints=JOINTS[::-1],
+        mode=Mode.COMPUTED_TORQUE,
+        effort_scale=(2.0, -0.5),
+        effort_limits=(3.0, math.inf),
+        use_urdf_effort_limits=False,
+        state_timeout=0.25,
+        start_ramp=0.2,
+    )
+    for now in (0.0, 0.05):
+        node.receive(now).step(now)
+    node.now = 0.25
+    loop = node.loop
+    loop.loads.set_payload(TIP, 2.5, [0.1, 0.0, 0.0], np.zeros((3, 3)))
+    loop.loads.include(gravity=False)
+    loop.external_effort_estimator.scale[:] = -1.0, 0.5
+    loop.measured_gravity = MeasuredGravity.INCLUDED
+    others = OtherNodes('/commands', '/bridge', '/rival', 3)
+    clock = SimulatedClock(12.5, 0.25, 4)
+    return node.amid(receivers=2, publishers=3, clock=clock, others=others).status()
+
+
+@pytest.mark.parametrize(
+    ('part', 'values'),
+    [
+        ('loop', {'state': 'active', 'mode': 'computed_torque', 'dry run': 'no', 'gain': '0.250'}),
+        ('loop', {'phase': 'floating: no reference'}),
+        ('joint states', {'topic': '/joint_states', 'rate [Hz]': '123.4', 'age [s]': '0.200'}),
+        ('joint states', {'timeout [s]': '0.25', 'publishers': '3', 'without velocity': 'none'}),
+        ('reference', {'age [s]': 'never', 'timeout [s]': '0.5', 'mode': 'computed_torque'}),
+        ('efforts', {'receivers': '2', 'topic with names': '/arm/joint_efforts'}),
+        ('efforts', {'topic of the external efforts': '/arm/external_efforts'}),
+        ('efforts', {'scale': '2, -0.5', 'limits [N m, N]': '3, inf'}),
+        ('efforts', {'measured efforts contain gravity': 'yes'}),
+        ('efforts', {'scale of the measured efforts': '0.5, -1'}),
+        ('model', {'joints': ', '.join(JOINTS[::-1]), 'robot': ROBOT.name}),
+        ('model', {'mass [kg]': f'{ROBOT.mass.sum():.4g}', 'payload': f'2.5 kg on {TIP}'}),
+        ('model', {'payload com [m]': '0.1, 0, 0', 'gravity [m/s^2]': 'not included'}),
+        ('model', {'gravity in the root link [m/s^2]': '0.000, 0.000, -9.807'}),
+        ('clock', {'time [s]': '12.500', 'unchanged for [s]': '0.2', 'publishers': '4'}),
+        ('other nodes', {'commands': '/commands', 'subscribers of the commands': '/bridge'}),
+        ('other nodes', {'other publishers of the commands': '/rival'}),
+        ('other nodes', {'other nodes with this name': '3'}),
+    ],
+)
+def test_values_are_those_of_the_interface(part, values):
+    assert values.items() <= described()[part].values.items()
+
+
+def test_values_of_single_conditions():
+    values = late(9.0).status()['joint states'].values
+    assert values['late, not commanded'] == NAMES[5]
+    assert values['locked, never reported'] == NAMES[4]
+    assert Node().status()['joint states'].values['age [s]'] == 'never'
+    assert warned(2).status()['model'].values['warning 2'] == 'text 1'
+    assert fresh().status()['model'].values['gravity [m/s^2]'] == '0.000, 0.000, -9.807'
+    assert fresh().status()['model'].values['payload'] == 'none'
+    assert fresh().dry().status()['loop'].values['dry run'] == 'yes'
+
+
+# What `watch` reads
+
+
+def test_what_is_written_is_what_is_read():
+    status = described()
+    message = write_status(Time(), '/left/arm', status)
+    found = read_status(message, '/left/arm')
+    assert found == status
+    assert message.status[0].name == 'left/arm: loop'
+    assert message.status[0].hardware_id == ROBOT.name
+    for name in ('/arm', '/left', '/left/arm_2', '/right/arm'):
+        assert read_status(message, name) is None
+    assert found.by_joint('limits [N m, N]') == {JOINTS[1]: 3.0, JOINTS[0]: math.inf}
+    assert found.measured_scale() == {JOINTS[1]: 0.5, JOINTS[0]: -1.0}
+    assert found.gravity() == [0.0, 0.0, -9.807]
+    assert found.payloads() == [(TIP, 2.5, [0.1, 0.0, 0.0])]
+    assert found.number('joint states', 'rate [Hz]') == 123.4
+    assert found.is_computing
+    assert 'other nodes' in found.problems()
+
+
+def test_values_that_are_unknown_or_of_another_version_are_left_out():
+    status = NodeStatus(loop=Part(OK, 'words', {'state': 'active', 'phase': 'x', 'gain': '?'}))
+    assert status.number('loop', 'gain') is None
+    assert status.number('model', 'mass [kg]') is None
+    assert not status.is_computing
+    assert status.names('model', 'joints') == status.payloads() == status.gravity() == []
+    status['model'] = Part(OK, 'words', {'joints': 'hip, knee', 'payload': '1 kg on hand'})
+    status['efforts'] = Part(OK, 'words', {'scale': '1, 2, 3', 'limits [N m, N]': 'none'})
+    assert status.by_joint('scale') == status.by_joint('limits [N m, N]') == {}
+    assert status.payloads() == []
+    assert (
+        read_status(write_status(Time(), 'arm', NodeStatus(model=status['model'])), 'arm') is None
+    )
+
+
+def test_problems_are_the_parts_that_are_not_ok_errors_first():
+    levels = {'loop': OK, 'messages': WARN, 'joint states': ERROR, 'model': WARN}
+    status = NodeStatus({name: Part(level, name, {}) for name, level in levels.items()})
+    assert list(status.problems()) == ['joint states', 'messages', 'model']
+
+
+# What the log prints
+
+
+@pytest.fixture
+def lines(caplog):
+    """Return a log, and a function that returns the lines since its last call."""
+    caplog.set_level(logging.INFO)
+
+    def new():
+        found = [(record.levelname, record.message) for record in caplog.records]
+        caplog.clear()
+        return found
+
+    return NodeLog(logging.getLogger('node')), new
+
+
+def clock(level, message):
+    return NodeStatus(clock=Part(level, message, {}))
+
+
+def test_the_log_prints_what_differs_from_the_last_status(lines):
+    log, new = lines
+    for level, message, expected in (
+        (OK, 'fine', []),
+        (WARN, 'paused for 3.5 s', [('WARNING', 'paused for 3.5 s')]),
+        (WARN, 'paused for 4 s', []),  # the same problem
+        (ERROR, 'paused for 9 s', [('ERROR', 'paused for 9 s')]),
+        (OK, 'fine', [('INFO', 'solved: paused for 9 s')]),
+        (ERROR, 'paused for 9 s', []),  # has just been logged
+        (WARN, 'joint_1 is slow', [('WARNING', 'joint_1 is slow')]),
+        (WARN, 'joint_2 is slow', [('WARNING', 'joint_2 is slow')]),
+    ):
+        log.report_status(clock(level, message), is_active=True)
+        assert new() == expected
+
+
+def test_what_is_logged_otherwise_is_not_logged_from_the_status(lines):
+    log, new = lines
+    for name in ('messages', 'reference', 'scheduling', 'model'):
+        log.report_status(NodeStatus({name: Part(WARN, 'x', {})}), is_active=True)
+    log.report_status(NodeStatus({'joint states': Part(WARN, 'x', {})}), is_active=False)
+    assert not new()
+    log.report_status(NodeStatus(model=Part(ERROR, 'x', {})), is_active=True)
+    assert new() == [('ERROR', 'x')]
+
+
+def test_the_log_prints_each_change_of_the_activity_once(lines):
+    log, new = lines
+    node = limit_stopped()
+    for _ in range(3):
+        log.report_activity(node.now, node.loop)
+    assert new() == [('ERROR', 'stopped: elbow is too fast')]
+    log.report_status(node.status(), is_active=True)
+    assert ('ERROR', 'stopped: elbow is too fast') not in new()
+    node = fresh()
+    for k in range(20):  # as after jumps of the clock
+        node.loop.controller.supervisor.is_stopping = bool(k % 2)
+        node.receive(0.01 * k).step(0.01 * k)
+        log.report_activity(node.now, node.loop)
+    assert len(new()) == 5
+    log.begin()
+    log.report_activity(node.now, node.loop)
+    assert new() == [('INFO', 'ramping efforts down: disabled by ~/enable')]
+
+
+# Single messages
+
+
+def test_silence_lasts_until_a_message_arrives_and_excludes_suspensions():
+    silence = 0.0
+    for elapsed, is_silent, expected in (
+        (1.0, True, 1.0),
+        (1.0, True, 2.0),
+        (60.0, True, 4.0),
+        (1.0, False, 0.0),
+        (1.0, True, 1.0),
+    ):
+        silence = lasting_silence(silence, elapsed, is_silent=is_silent)
+        assert silence == expected
+
+
+def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
+    loop = ControlLoop(load_urdf(ROOT / 'test/robots/fixed_chain.urdf'))
+    robot = loop.robot
+    fixed = [
+        name for name, body in zip(robot.link_names, robot.link_body, strict=True) if not body
+    ]
+    moving = next(name for name in robot.link_names if name not in fixed)
+    for name in ('', 'imu_link', loop.base_link):
+        assert not describe_imu_frame(loop, name, np.eye(3))
+    assert 'a link moved by joints' in describe_imu_frame(loop, moving, np.eye(3))
+    for name in fixed:
+        R_BS = robot.link_rotation[robot.link_index(name)]
+        for degrees in (0.0, 30.0, 90.0, 180.0):  # cosines may round to above 1 or below -1
+            for axis in np.eye(3):
+                turned = R_BS @ rotation_of_rpy(*(math.radians(degrees) * axis))
+                words = f'by {degrees:.0f} degrees' if degrees else ''
+                found = describe_imu_frame(loop, name, turned)
+                assert words in found
+                assert bool(found) is bool(words)
+
+
+def test_a_joint_that_is_whole_turns_away_from_its_reference_is_named():
+    arm = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+    q, zeros = np.full(7, 0.3), np.zeros(7)
+    node = Node(arm, mode=Mode.COMPUTED_TORQUE)
+    node.receive(1.0, q, zeros, arm.joint_names)
+    turned = q + 2.0 * math.pi * np.eye(7)[2]
+    node.loop.reference = Reference(zeros, zeros, 1.0, turned, zeros)
+    message = node.step(1.0).status()['efforts'].message
+    assert message.endswith(f'; whole turns away: {arm.joint_names[2]}')
