@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 import math
 import os
 import time
@@ -22,33 +23,25 @@ _AT_THE_TOP = 'state', 'phase', 'activity', 'dry_run', 'problems'
 _UNITS = {'rate': ' Hz', 'age': ' s', 'timeout': ' s'}  # by the last word of a key
 
 
-class LiveView:
-    """A full-screen view that is updated in place until the ``with`` block ends."""
+@contextmanager
+def live_view(last_words: Callable[[], str]) -> Iterator[Callable[..., None]]:
+    """
+    Open a full screen; yield a function that updates it with the arguments of `screen`.
 
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.live import Live
+    After the screen has been closed, print the ``last_words``.
+    """
+    from rich.console import Console
+    from rich.live import Live
 
-        # Some shells export COLUMNS and LINES, which would fix the size of the screen.
-        size = {'COLUMNS', 'LINES'}
-        environment = {key: os.environ[key] for key in os.environ.keys() - size}
-        self._console = Console(highlight=False, _environ=environment)
-        self._live = Live(console=self._console, screen=True, auto_refresh=False)
-        self.last_words = ''
-        """Text to print after the screen has been closed."""
-
-    def __enter__(self) -> LiveView:
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-        if self.last_words:
-            self._console.print(_text(self.last_words), soft_wrap=True)
-
-    def show(self, observer: Observer, sample: Sample | None, agreement: Agreement) -> None:
-        """Show the latest values."""
-        self._live.update(screen(observer, sample, agreement), refresh=True)
+    # Some shells export COLUMNS and LINES, which would fix the size of the screen.
+    size = {'COLUMNS', 'LINES'}
+    environment = {key: os.environ[key] for key in os.environ.keys() - size}
+    console = Console(highlight=False, _environ=environment)
+    try:
+        with Live(console=console, screen=True, auto_refresh=False) as live:
+            yield lambda *values: live.update(screen(*values), refresh=True)
+    finally:
+        console.print(_text(last_words()), soft_wrap=True)
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement) -> Any:

@@ -26,7 +26,7 @@ from ..report.diagnosis_text import agreement_sentence
 from . import arguments
 from .arguments import choose_node, MOST_DISCOVERY, node_name, only_one
 from .console import handled_signals
-from .live_view import as_json, as_line, LiveView
+from .live_view import as_json, as_line, live_view
 from .recordings import reported_convention
 
 if TYPE_CHECKING:
@@ -134,13 +134,8 @@ class _Watch:
         if self.options.json or not sys.stdout.isatty():
             self._loop(self._print_line, _LINE)
         else:
-            with LiveView() as view:
-                try:
-                    self._loop(
-                        lambda: view.show(self.observer, self.sample, self.agreement), _FRAME
-                    )
-                finally:
-                    view.last_words = f'{self.observer.name}: {agreement_sentence(self.agreement)}'
+            with live_view(self._last_words) as show:
+                self._loop(lambda: show(self.observer, self.sample, self.agreement), _FRAME)
         return CODES[self.agreement.outcome]
 
     def _loop(self, show: Any, period: float) -> None:
@@ -257,6 +252,9 @@ class _Watch:
             for link, mass, com in status.payloads()
             if link in robot.link_names
         ]
+
+    def _last_words(self) -> str:
+        return f'{self.observer.name}: {agreement_sentence(self.agreement)}'
 
     def _print_line(self) -> None:
         if self.options.json:

@@ -21,6 +21,7 @@ LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: of revolute and prismatic joints
 FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: adjacent joints differ
 ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
 SPEED_USED = 0.5  # fraction of the velocity limit
+NEGLIGIBLE = 1e-6  # [N m or N], in place of an effort limit of 0
 EFFORT_USED = 0.9  # fraction of the effort limit; feedback needs the remainder
 STEEPEST_FADE = 1.875  # largest slope of the quintic
 
@@ -93,29 +94,20 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     poses = middle + reach * random.uniform(-1.0, 1.0, (200, len(middle)))
     loads = [effort_used(robot, dynamics.gravity_efforts(q)) for q in poses]
     if min(loads) > EFFORT_USED:
-        raise SimulationError(_too_weak(robot, dynamics.gravity_efforts(poses[np.argmin(loads)])))
+        efforts = np.abs(dynamics.gravity_efforts(poses[np.argmin(loads)]))
+        weakest = int(np.argmax(efforts / np.maximum(robot.effort_limits, NEGLIGIBLE)))
+        raise SimulationError(
+            'the effort limits of the URDF are too small to hold and move the robot: joint '
+            f'{robot.joint_names[weakest]!r} needs {efforts[weakest]:.3g} against gravity, its '
+            f'limit is {robot.effort_limits[weakest]:g}. Write the limits from the data sheet '
+            'into <limit effort>, and check the masses'
+        )
     easy = poses[np.array(loads) <= max(0.5, min(loads))]
 
     def independence(q: Floats) -> float:
         return float(np.linalg.eigvalsh(with_unit_diagonal(dynamics.mass_matrix(q)))[0])
 
     return max(easy, key=independence)
-
-
-def _too_weak(robot: RobotModel, efforts: Floats) -> str:
-    weak = [
-        f'joint {name!r} needs {abs(effort):.3g} (limit: {limit:g}) {"N" if slides else "N m"} '
-        'against gravity'
-        for name, slides, effort, limit in zip(
-            robot.joint_names, robot.is_prismatic_joint, efforts, robot.effort_limits, strict=True
-        )
-        if abs(effort) > EFFORT_USED * limit
-    ]
-    return (
-        'the effort limits of the URDF are too small to hold and move the robot: in '
-        f'the best of the sampled poses, {", ".join(weak)}. Write the limits from the data '
-        'sheet into <limit effort>, and check the masses'
-    )
 
 
 def plan(
@@ -152,6 +144,5 @@ def plan(
 
 def effort_used(robot: RobotModel, efforts: Floats) -> float:
     """Return the largest ratio of effort to limit, for efforts of shape (..., n)."""
-    negligible = 1e-6  # [N m or N], in place of a limit of 0
-    ratios = abs(efforts) / np.maximum(robot.effort_limits, negligible)
+    ratios = abs(efforts) / np.maximum(robot.effort_limits, NEGLIGIBLE)
     return float(np.max(ratios, initial=0.0))

@@ -314,7 +314,7 @@ class TestTrajectory:
     def test_weak_drives_are_named(self):
         robot = load_urdf(arm(BODY, limit='lower="-0.2" upper="0.2" effort="0.1" velocity="3"'))
         message = (
-            r"too small .* 'j1' needs \S+ \(limit: 0\.1\) N m against gravity\. Write the limits"
+            r"too small .* 'j1' needs \S+ against gravity, its limit is 0\.1\. Write the limits"
         )
         with pytest.raises(SimulationError, match=message):
             start_pose(robot, InverseDynamics(robot))
