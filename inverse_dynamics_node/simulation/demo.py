@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-import gc
 import math
 import os
 import signal
@@ -23,8 +22,6 @@ from typing import Any, NamedTuple
 from geometry_msgs.msg import Inertia, InertiaStamped, Vector3
 import numpy as np
 from numpy.typing import ArrayLike
-import rclpy
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -35,8 +32,9 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.kinematics import last_link, path_to
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
-from ..ros.middleware import BEST_EFFORT, LATCHED, start_ros
+from ..ros.middleware import BEST_EFFORT, LATCHED
 from .mujoco import require_inertia, SimulationError
+from .robot import executing
 from .trajectory import Oscillation, plan, start_pose
 
 HOLDS, LOADED, TOLD, END = 6.0, 8.0, 10.5, 13.0
@@ -304,11 +302,10 @@ def run_demo(urdf: str, stopped: Callable[[], bool], say: Callable[[str], None])
     motion = plan(robot, dynamics, start, HOLDS)
     # In a namespace of its own, the demo reaches neither another demo nor a real robot.
     namespace = f'/demo_{os.getpid()}'
-    with running(_commands(urdf, namespace)) as processes:
-        start_ros([])
-        commander = Commander(robot, motion, load, namespace)
-        executor = EventsExecutor()
-        executor.add_node(commander)
+    with (
+        running(_commands(urdf, namespace)) as processes,
+        executing([], lambda: Commander(robot, motion, load, namespace)) as (commander, executor),
+    ):
 
         def spin_until(is_done: Callable[[], bool]) -> None:
             deadline = time.monotonic() + TIMEOUT
@@ -325,21 +322,12 @@ def run_demo(urdf: str, stopped: Callable[[], bool], say: Callable[[str], None])
                     )
                 executor.spin_once(timeout_sec=0.05)
 
-        try:
-            # Garbage collection of the objects of the libraries would take 0.1 s each time.
-            gc.collect()
-            gc.freeze()
-            spin_until(commander.is_ready)
-            commander.begins = True
-            for begin, text in phases(load).items():
-                spin_until(partial(commander.has_reached, begin))
-                say(f'{begin:4.1f} s: {text}')
-            spin_until(partial(commander.has_reached, END))
-        finally:
-            executor.remove_node(commander)
-            executor.shutdown()
-            commander.destroy_node()
-            rclpy.shutdown()
+        spin_until(commander.is_ready)
+        commander.begins = True
+        for begin, text in phases(load).items():
+            spin_until(partial(commander.has_reached, begin))
+            say(f'{begin:4.1f} s: {text}')
+        spin_until(partial(commander.has_reached, END))
     return commander.recorded()
 
 

@@ -15,7 +15,7 @@ from ..robot.model import Floats
 from .drivers import Actuation, Command
 
 _SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of revolute and prismatic joints
-_RANGE_FRACTION = 0.3  # largest sway as a fraction of the joint's range
+_RANGE_FRACTION = 0.2  # largest sway as a fraction of the joint's range
 _SLOWEST, _STEP = 0.08, 0.013  # [Hz]: sway frequency of the first joint; increase per joint
 RELEASE = 1.5  # [s]: time for which commands must arrive before the hand-over
 GAP = 0.1  # [s]: a longer gap between commands restarts the wait for the hand-over
@@ -49,11 +49,8 @@ class HandOver:
         self._start = self._robot.positions()
         ranges = np.where(model.is_continuous, math.inf, model.upper - model.lower)
         largest = np.where(model.is_prismatic_joint, _SWAY[1], _SWAY[0])
-        reach = 0.5 * np.minimum(largest, _RANGE_FRACTION * ranges) * sways
-        with np.errstate(invalid='ignore'):  # infinite limits
-            is_high = self._start > 0.5 * (model.lower + model.upper)
-        self._reach = np.where(is_high, -reach, reach)
-        self._frequency = 2.0 * math.pi * (_SLOWEST + _STEP * np.arange(len(reach)))
+        self._reach = 0.5 * np.minimum(largest, _RANGE_FRACTION * ranges) * sways
+        self._frequency = 2.0 * math.pi * (_SLOWEST + _STEP * np.arange(len(self._reach)))
         self.is_held = True
         """Whether the position controller holds the robot."""
 

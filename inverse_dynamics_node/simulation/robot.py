@@ -17,13 +17,14 @@ Messages on two topics disturb the robot:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 import gc
 from pathlib import Path
 import signal
 import sys
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
@@ -52,6 +53,8 @@ from .trajectory import start_pose
 
 COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of wrong commands
 MOST_LAG = 0.5  # [s]: largest lag of the simulated time behind the steady clock
+
+N = TypeVar('N', bound=Node)
 
 
 class RobotNode(Node):
@@ -154,6 +157,31 @@ def _read(vector: Any) -> Floats:
     return np.array([vector.x, vector.y, vector.z])
 
 
+@contextmanager
+def executing(
+    arguments: Sequence[str], make_node: Callable[[], N]
+) -> Iterator[tuple[N, EventsExecutor]]:
+    """Start ROS, and yield a new node and its executor; on exit, end all three."""
+    with explained_start():
+        start_ros(list(arguments))
+    try:
+        with explained_start():
+            node = make_node()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        # Garbage collection of the objects of the libraries would take 0.1 s each time.
+        gc.collect()
+        gc.freeze()
+        try:
+            yield node, executor
+        finally:
+            executor.remove_node(node)
+            executor.shutdown()
+            node.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
 def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], object]) -> None:
     """
     Advance a simulated robot in step with the steady clock until ``stop`` returns a true value.
@@ -186,25 +214,8 @@ def simulate(
         signal.signal(number, lambda number, _: stopped.append(number))
     try:
         robot = load_urdf(urdf)
-        with explained_start():
-            start_ros(list(arguments))
-        try:
-            with explained_start():
-                node = RobotNode(robot, driver, **options)
-            executor = EventsExecutor()
-            executor.add_node(node)
-            # Garbage collection of the imported objects would take 0.1 s, and the node would time
-            # out.
-            gc.collect()
-            gc.freeze()
-            try:
-                run(node, executor, rate, lambda: stopped)
-            finally:
-                executor.remove_node(node)
-                executor.shutdown()
-                node.destroy_node()
-        finally:
-            rclpy.shutdown()
+        with executing(arguments, lambda: RobotNode(robot, driver, **options)) as (node, executor):
+            run(node, executor, rate, lambda: stopped)
     except (InverseDynamicsError, ParameterException, OSError) as error:
         print(f'simulated robot: {error}', file=sys.stderr)
         return 1
