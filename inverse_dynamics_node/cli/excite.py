@@ -49,8 +49,8 @@ the motion.
 exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
 arguments."""
 
-_YAML_RATE = 20.0
-"""Rate of the points in the JointTrajectory [Hz]."""
+_CSV_RATE, _YAML_RATE = 100.0, 20.0
+"""Rates of the points in the CSV file and in the JointTrajectory [Hz]."""
 _SLOW = 0.2
 """Fraction of the speed limits in the motion to the start, and of the speed in the rehearsal."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
@@ -69,7 +69,13 @@ def make_parser() -> argparse.ArgumentParser:
     )
     arguments.add_urdf(parser)
     _add_limits(parser)
-    _add_motion(parser)
+    parser.add_argument(
+        '--duration',
+        type=_positive,
+        default=DURATION,
+        metavar='SECONDS',
+        help='duration at full speed [s] (default: %(default)g)',
+    )
     arguments.add_payload(parser)
     arguments.add_link(parser)
     arguments.add_gravity(parser)
@@ -102,24 +108,6 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar=('X', 'Y', 'Z', 'LX', 'LY', 'LZ'),
         help='obstacle: the centre of a box, and its lengths along the axes of the base [m]; may '
         'be repeated',
-    )
-
-
-def _add_motion(parser: argparse.ArgumentParser) -> None:
-    """Add the options for the duration of the motion and the rate of the CSV file."""
-    parser.add_argument(
-        '--duration',
-        type=_positive,
-        default=DURATION,
-        metavar='SECONDS',
-        help='duration at full speed [s] (default: %(default)g)',
-    )
-    parser.add_argument(
-        '--rate',
-        type=_positive,
-        default=100.0,
-        metavar='HZ',
-        help='points per second in the CSV file (default: %(default)g)',
     )
 
 
@@ -161,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
     limits = _limits(robot, source, options)
     with progress('searching for the best motion') as report:
         excitation = find_excitation(dynamics, limits, options.duration, report)
-    trajectory = excitation.series.trajectory(options.rate)
+    trajectory = excitation.series.trajectory(_CSV_RATE)
     efforts = trajectory_efforts(dynamics, trajectory, limits.rest)
     assert limits.clearance
     box = limits.clearance.extent(whole_positions(limits, trajectory.positions))
