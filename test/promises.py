@@ -18,15 +18,14 @@ import numpy as np
 
 ROUNDING = 1e-6  # [N m]
 LARGEST_CHANGE = 1e3  # [N m]; beyond the limits, so that larger ones make no difference
-NOMINAL_STEP = 0.01  # [s]; ramps advance by at most as long in one command, ...
-GROWTH, MEMORY = 1.25, 16.0  # ... or by the usual time between commands, which changes slowly
+NOMINAL_STEP = 0.02  # [s]; ramps advance by at most as long in one command, or by a period
 SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
 RAMPS = 3.0  # ramps over the largest effort that may coincide: a start, a blend over twice of it
 PAUSE, SETTLING = 0.1, 0.2  # [s]; after a pause, old messages may arrive for as long
 FACTOR, LATENESS, LONGEST_STEP = 2.0, 0.03, 0.1  # of motion: of the speed limit, [s], [s]
 WRONG_WAY = 0.1  # [rad, m]; after which a wrong sign of the velocities has been found
 WINDOW = 0.02  # [s]; many small steps may be no motion either
-NEAR, RETURN = 0.85, 0.3  # [speed limits], [s]; efforts fade near a limit, and return later
+NEAR, RETURN = 0.85, 0.45  # [speed limits], [s]; efforts fade near a limit, and return later
 TIMEOUTS = {
     'wrench': lambda node: node.settings.wrench_timeout,
     'imu': lambda node: 0.2,
@@ -69,7 +68,6 @@ class Promises:
         self.node = node
         self.count, self.now, self.time = 0, 0.0, None
         self.base = max(NOMINAL_STEP, 1.0 / node.rate if node.rate else 0.0)
-        self.most = self.base  # [s]; time by which ramps may advance with the next command
         self.ramps, self.settling = 0.0, 0.0  # [s]
         n = len(node.loop.robot.joint_names)
         self.speeds = np.clip(node.loop.robot.velocity_limits, 1.0, 30.0)
@@ -173,14 +171,10 @@ class Promises:
 
     def _advance(self, passed):
         """Return the time by which ramps may advance [s]."""
-        late, most = max(0.0, passed), self.most
-        step = min(late, most)
+        late = max(0.0, passed)
+        step = min(late, self.base)
         self.ramps += step
-        if late > most:
-            self.most = GROWTH * most
-        else:
-            self.most = max(self.base, most - late * (most - late) / (MEMORY * most))
-        if not 0.0 <= passed <= max(PAUSE, 4.0 * most):
+        if not 0.0 <= passed <= max(PAUSE, 4.0 * self.base):
             self.settling = SETTLING + late
         self.settling = max(0.0, self.settling - late)
         if passed < 0.0:

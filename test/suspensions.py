@@ -33,8 +33,7 @@ PARAMETERS = {
 }
 ALLOWED = 1.0  # of the step that a blend over twice the largest effort explains
 RAMP = 0.5  # [s]; default of start_ramp
-NOMINAL = 0.01  # [s]; ramps advance by at most as long, or by the usual interval, ...
-GROWTH, JITTER = 1.25, 0.003  # ... which one pause raises; [s], of the time of a command
+NOMINAL, JITTER = 0.02, 0.003  # [s]; ramps advance by at most as long; of the time of a command
 _SPEED = 1.0  # [rad/s]; of the arm between its turning points
 
 
@@ -80,8 +79,7 @@ def largest_step(robot, node, commands, duration):
     q, qd = (np.array([getattr(m, name) for m in commands]) for name in ('position', 'velocity'))
     times = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in commands])
     motion = np.abs(np.diff(DYNAMICS.efforts(q, qd, 0.0 * q), axis=0))
-    usual = max(NOMINAL, np.diff(times[:before]).max(initial=0.0))
-    elapsed = np.minimum(np.diff(times) + JITTER, GROWTH * usual)
+    elapsed = np.minimum(np.diff(times), NOMINAL) + JITTER
     blend = 2.0 * np.abs(efforts).max() * elapsed / RAMP
     return float(((np.abs(np.diff(efforts, axis=0)) - motion).max(axis=1) / blend).max())
 

@@ -23,14 +23,16 @@ _MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
 _LONGEST_NAME = 100  # [characters]; longer names take too long to compare
 LONG_AGO = -1e300
 """Time stored for a locked joint that was never reported [s]; finite, so that ages are finite."""
+LARGEST = 1e9
+"""Largest accepted position or velocity [rad, m, rad/s, m/s], so that efforts are finite."""
 # Rows of the known state, with one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, with one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
 # Rows of the flags, with one column per joint of the robot.
 _HAS_VELOCITY, _LOST = range(2)
-# Results of `store_joint_state`: `INFINITE`, or the sum of some of the other flags.
-INFINITE, STORED, CHANGED = -1, 1, 2
+# Results of `store_joint_state`: `ABSURD`, or the sum of some of the other flags.
+ABSURD, STORED, CHANGED = -1, 1, 2
 
 Numbers = Sequence[float] | Floats
 
@@ -164,7 +166,7 @@ class JointStateCollector:
 
         The result is true if the state of any joint of the robot was stored. A message without
         joints of the robot is ignored. Otherwise, a JointStateError is raised if the lengths
-        differ, or if a position or velocity is infinite.
+        differ, or if a position or velocity exceeds `LARGEST`.
 
         """
         names = layout.names
@@ -192,8 +194,8 @@ class JointStateCollector:
             self.velocity_timeout,
             has_efforts,
         )
-        if result == INFINITE:
-            raise self._infinite(layout)
+        if result == ABSURD:
+            raise self._absurd(layout)
         if result & CHANGED:
             lost = tuple(self._named(self._has_lost_velocity))
             self._events = Events(True, self._events.lost_velocities + lost)
@@ -291,13 +293,15 @@ class JointStateCollector:
             if name in locked:
                 raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
-    def _infinite(self, layout: Layout) -> JointStateError:
-        """Name the first infinite value of a message."""
+    def _absurd(self, layout: Layout) -> JointStateError:
+        """Name the first value beyond `LARGEST` of a message."""
         in_robot, in_message = layout.places
         values = layout.received[:2, in_message]
-        row, k = np.argwhere(np.isinf(values))[0]
+        row, k = np.argwhere(np.abs(values) > LARGEST)[0]
         quantity, joint = ('position', 'velocity')[row], self.joint_names[in_robot[k]]
-        return JointStateError(f"{quantity} of joint '{joint}' is {values[row, k]}")
+        return JointStateError(
+            f"{quantity} of joint '{joint}' is {values[row, k]}, expected at most {LARGEST:g}"
+        )
 
     def _named(self, flags: Booleans) -> list[str]:
         return list(compress(self.joint_names, flags))
@@ -346,7 +350,7 @@ def store_joint_state(
     has_efforts: bool,
 ) -> int:
     """
-    Store the reported joints of a message; if a value is infinite, change nothing.
+    Store the reported joints of a message; if a value is absurd, change nothing.
 
     - ``received`` contains positions, velocities and efforts of the l joints in a message, shape
       (3, l). NaN means that a value is not reported.
@@ -356,8 +360,8 @@ def store_joint_state(
     - ``flags`` says which joints have a velocity, and which have lost it, shape (2, n).
     - ``now`` is the time [s]. ``velocity_timeout`` is as in `JointStateCollector` [s].
 
-    The result is `INFINITE` if a position or velocity is infinite. Otherwise, the result is the
-    sum of any of the following flags:
+    The result is `ABSURD` if a position or velocity exceeds `LARGEST`. Otherwise, the result is
+    the sum of any of the following flags:
 
     - `STORED`: a joint was stored.
     - `CHANGED`: what is known of a joint has changed; see `Events`.
@@ -365,8 +369,8 @@ def store_joint_state(
     """
     in_robot, in_message = places[0], places[1]
     for j in in_message:
-        if math.isinf(received[_POSITION, j]) or math.isinf(received[_VELOCITY, j]):
-            return INFINITE
+        if abs(received[_POSITION, j]) > LARGEST or abs(received[_VELOCITY, j]) > LARGEST:
+            return ABSURD
     result = 0
     for k in range(len(in_robot)):
         i, j = in_robot[k], in_message[k]

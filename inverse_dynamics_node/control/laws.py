@@ -15,8 +15,6 @@ from .filters import LowPass
 from .joint_states import LATE_AFTER, State
 from .settings import Mode, Settings
 
-_PLAUSIBLE = 1e9  # [SI units]; a larger input is reported as the cause of infinite efforts
-
 
 class Reference(NamedTuple):
     """Desired motion of the commanded joints."""
@@ -124,31 +122,6 @@ class Law:
     def distance(self, start: Floats, target: Floats) -> Floats:
         """Return target minus start, shape (m,); continuous joints take the shorter way."""
         return shorter_way(target - start, self._is_continuous)
-
-    def cause_of_failure(self) -> str:
-        """
-        Name the joint and the value that prevented finite efforts in the last step.
-
-        If all inputs are plausible, the value is a computed effort.
-
-        """
-        added, efforts = np.zeros((2, len(self._tau)))
-        added[self._index] = self.added
-        scale = self._of_joint['effort_scale']
-        with np.errstate(all='ignore'):
-            efforts[self._index] = scale * (self._tau[self._index] + self.added)
-        values = {
-            'position': self._last_q,
-            'velocity': self._last_qd,
-            'acceleration': self._qdd,
-            'added effort': added,
-        }
-        name, joint = _largest(values)
-        if abs(values[name][joint]) <= _PLAUSIBLE:
-            values = {'computed effort': efforts}
-            name, joint = _largest(values)
-        joint_name = self.dynamics.robot.joint_names[joint]
-        return f"the {name} of joint '{joint_name}' is {values[name][joint]:.4g}"
 
     def _smooth(self, now: float, state: State) -> Floats:
         """Filter the measured velocities."""
@@ -310,10 +283,3 @@ def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
             f"'{robot.name}' that mimic no other joint: {', '.join(robot.joint_names)}"
         )
     return robot.joint_indices(joints)
-
-
-def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
-    """Return the array name and the index of the largest magnitude; NaN is treated as infinite."""
-    sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
-    row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
-    return list(arrays)[int(row)], int(joint)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import compress
 import math
 from typing import NamedTuple
 
@@ -399,31 +398,6 @@ class ControlLoop:
             if joints:
                 missing = [f'new joint states of {", ".join(joints)} on {states}']
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
-
-    def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
-        """
-        Apply the scale of the commands to modelled efforts [N m or N].
-
-        ``efforts`` and the result have shape (k, len(index)). ``index`` contains the index of each
-        column's joint in the robot. Efforts of uncommanded joints stay unchanged.
-
-        """
-        scale = np.ones_like(self.collector.q)
-        scale[self.index] = self.controller.scale
-        calibrated: Floats = scale[index] * efforts
-        return calibrated
-
-    def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
-        """
-        Return the joints whose limits are exceeded.
-
-        ``index`` is as in `calibrated`. ``efforts`` is the result of `calibrated`.
-
-        """
-        limits = self.robot.effort_limits.copy()
-        limits[self.index] = self.controller.limits
-        is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
-        return [self.robot.joint_names[i] for i in compress(index, is_beyond)]
 
     def drive_reference(self) -> tuple[Floats, Floats]:
         """Return positions and velocities to send with the last command; see `DriveReference`."""

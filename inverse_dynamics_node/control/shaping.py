@@ -19,13 +19,10 @@ LARGEST = 1e300
 """Largest accepted effort [N m or N]; the sum of two such efforts is finite."""
 # Rows of `CommandShaper._rows`. Each column belongs to a commanded joint.
 _INDEX, _ADDED, _SCALE, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(9)
-NOMINAL_STEP = 0.01
-"""Each command advances ramps by at most this time [s], or the usual interval if it is longer."""
-_LONGEST_STEP = 0.5  # [s]; longest usual interval, unless the period is longer
-# Time constant of the mean in `RampClock`, in usual intervals. One pause adds at most 25 %.
-_MEMORY = 8.0
+NOMINAL_STEP = 0.02
+"""Each command advances ramps by at most this time [s], or by one period of the loop if longer."""
 _LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
-_PAUSE = 4.0  # [usual intervals]; a shorter interval is not an interruption
+_PAUSE = 4.0  # [nominal steps]; a shorter interval is not an interruption
 _SETTLING = 0.2  # [s]; old messages may arrive for this long after an interruption
 
 
@@ -41,20 +38,16 @@ class RampClock:
     """
     Measures the time step of ramps, blends and fades.
 
-    The time step is the interval since the last command, but at most the usual interval. The usual
-    interval is a mean of past intervals, but at least 10 ms and at least one period of the loop.
-    Long intervals have more weight in the mean, so that a burst of messages does not hide a pause.
-    A single pause lengthens the usual interval by at most 25 %.
-
-    Ramps do not catch up after a pause, because the robot may have moved during the pause.
+    The time step is the interval since the last command, but at most `NOMINAL_STEP` or one period
+    of the loop. Ramps do not catch up after a pause, because the robot may have moved during the
+    pause. They therefore take longer if commands are rare.
 
     ``period`` is the time between commands [s]; 0 if each joint state produces a command.
 
     """
 
     def __init__(self, period: float = 0.0) -> None:
-        self._shortest = self._usual = max(NOMINAL_STEP, period)
-        self._longest = max(_LONGEST_STEP, period)
+        self._longest = max(NOMINAL_STEP, period)
         self._now = math.inf
         self._settling = 0.0  # [s]
         self.since = 0.0
@@ -76,19 +69,14 @@ class RampClock:
 
         """
         since, self._now = now - self._now, now
-        usual = self._usual
-        self.since = since if since > 0.0 else 0.0  # faster than max()
-        self.step = since if 0.0 < since < usual else min(self.since, usual)
-        if 0.0 <= since <= max(_LEAST_PAUSE, _PAUSE * usual):
+        self.since = max(since, 0.0)
+        self.step = min(self.since, self._longest)
+        if 0.0 <= since <= max(_LEAST_PAUSE, _PAUSE * self._longest):
             is_interrupted = self._settling > 0.0
             self._settling = max(0.0, self._settling - since)
         else:
             is_interrupted = True
             self._settling = _SETTLING if since > -math.inf else 0.0
-        if since > self._shortest or usual > self._shortest:
-            counted = min(self.since, 2.0 * usual)
-            usual += (counted - usual) * counted / (_MEMORY * usual)
-            self._usual = min(max(usual, self._shortest), self._longest)
         return is_interrupted
 
 
@@ -287,28 +275,16 @@ class CommandShaper:
         return max(0.0, self._left - self.clock.step / self._duration), False
 
     def hold(self) -> None:
-        """Repeat the last command; efforts beyond a tightened limit fall to the limit."""
-        elapsed = self.clock.step
+        """Repeat the last command, without damping."""
         if self._way is _Way.FALLING:
-            self._way, self._pause = _Way.HOLDING, math.inf
-            self.command[:] = self._stop.command()  # without damping
-            self.begin()
+            self.command[:] = self._stop.command()
+            self._pause = math.inf
         elif self._way is _Way.FOLLOWING:
-            self._way, self._pause = _Way.HOLDING, 0.0
+            self._pause = math.inf if self._is_new else 0.0
         else:
             self._pause += self.clock.since
-        command, limit, excess = self.command, self._rows[_LIMIT], self._rows[_EXCESS]
-        if self._is_new:
-            excess[:] = np.maximum(0.0, np.abs(command) - limit)
-            self._is_new, self._pause = False, math.inf
-        if self._pause > _BRIEF:
-            self._left, self._has_repeated = self._rest_of_blend()
-        else:
-            self._has_repeated = self._left == 1.0
-        change = np.maximum(0.0, np.abs(command) - limit - self._left * excess)
-        if self._has_rates:
-            change = np.minimum(change, self._rows[_RATE] * elapsed)
-        command -= np.copysign(change, command)
+        self._way, self._is_new = _Way.HOLDING, False
+        self._has_repeated = self._left == 1.0
         self._flags[:] = False
 
     def fall(

@@ -75,7 +75,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.controller.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
-        return f'{loop.controller.phase.value}: {loop.controller.law.cause_of_failure()}'
+        return str(loop.controller.phase.value)
     timeout = loop.controller.settings.state_timeout
     joints = ', '.join(loop.collector.stale(now, timeout))
     if joints:

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from ..control.joint_states import JointStateCollector, Layout
+from ..control.joint_states import JointStateCollector, LARGEST, Layout
 from ..control.laws import Reference
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
@@ -234,7 +234,7 @@ def _read_accelerations(
     message: Float64MultiArray, joints: Sequence[str], now: float
 ) -> Reference:
     """Read the accelerations of the commanded joints."""
-    accelerations = _finite('acceleration', message.data, joints)
+    accelerations = _plausible('acceleration', message.data, joints)
     return Reference(accelerations, np.zeros(len(joints)), now)
 
 
@@ -257,7 +257,7 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
     point = message.points[0]
 
     def read(what: str, values: Sequence[float]) -> Floats | None:
-        return _finite(what, values, names)[order] if len(values) else None
+        return _plausible(what, values, names)[order] if len(values) else None
 
     accelerations = read('acceleration', point.accelerations)
     efforts = read('effort', point.effort)
@@ -303,14 +303,17 @@ def _read_vector(message: Any) -> Floats:
     return np.array([message.x, message.y, message.z])
 
 
-def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
+def _plausible(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
     numbers = np.array(values, dtype=np.float64)
     if len(numbers) != len(names):
         raise JointStateError(
             f'{len(numbers)} {what} values, expected {len(names)} ({listed(names)})'
         )
-    is_finite = np.isfinite(numbers)
-    if not is_finite.all():
-        k = int(np.argmin(is_finite))
-        raise JointStateError(f"{what} of joint '{names[k]}' is {numbers[k]}")
+    is_plausible = np.abs(numbers) <= LARGEST  # false for NaN
+    if not is_plausible.all():
+        k = int(np.argmin(is_plausible))
+        raise JointStateError(
+            f"{what} of joint '{names[k]}' is {numbers[k]}, expected a number of at most "
+            f'{LARGEST:g}'
+        )
     return numbers

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 import contextlib
 import ctypes
+from itertools import compress
 import multiprocessing
 import os
 import pickle
@@ -65,9 +66,13 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
     trajectory, notes = complete(_read_trajectory(message))
     efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
     index = joint_index(trajectory.joint_names, loop.robot.joint_names)
-    efforts = loop.calibrated(index, efforts)
+    scale, limits = np.ones_like(loop.collector.q), loop.robot.effort_limits.copy()
+    scale[loop.index], limits[loop.index] = loop.controller.scale, loop.controller.limits
+    efforts = scale[index] * efforts
+    is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
     filled = _write_trajectory(message, trajectory, efforts)
-    return Filled(serialize_message(filled), notes, loop.beyond_limits(index, efforts))
+    beyond = list(compress(trajectory.joint_names, is_beyond))
+    return Filled(serialize_message(filled), notes, beyond)
 
 
 class Worker:

@@ -7,7 +7,12 @@ import signal
 
 from builtin_interfaces.msg import Duration
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.settings import Settings
+from inverse_dynamics_node.node.trajectory_filler import fill
 import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
 from robot_files import STANFORD
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -41,6 +46,16 @@ def status(pid):
     except OSError:
         return []
     return fields if fields[0] != 'Z' else []
+
+
+def test_the_efforts_of_a_trajectory_have_the_scale_and_the_limits_of_the_commands():
+    joints, scale = [NAMES[4], NAMES[1]], np.array([1.0, 3.0, 1.0, 1.0, -2.0, 1.0])
+    limit = float(-2.0 * HOLD[4])
+    settings = Settings(effort_scale=(-2.0, 3.0), effort_limits=(abs(limit), 1.0))
+    filled = fill(ControlLoop(MODEL, joints, settings), serialize_message(trajectory(2)))
+    points = deserialize_message(filled.data, JointTrajectory).points
+    assert [list(point.effort) for point in points] == [pytest.approx(scale * HOLD)] * 2
+    assert filled.beyond == [NAMES[1]]
 
 
 def trajectory(points):

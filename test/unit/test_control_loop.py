@@ -86,19 +86,11 @@ def test_a_start_drops_the_earlier_reference():
     assert loop.controller.phase is Phase.FLOATING
 
 
-def test_the_scale_of_a_trajectory_is_that_of_the_commands():
-    settings = Settings(effort_scale=(2.0, 3.0), effort_limits=39.0)
-    loop = ControlLoop(MODEL, [NAMES[4], NAMES[1]], settings)
-    index = [0, 1, 4]
-    efforts = loop.calibrated(index, np.array([[1.0, 10.0, 20.0], [1.0, -20.0, 0.0]]))
-    assert efforts == pytest.approx(np.array([[1.0, 30.0, 40.0], [1.0, -60.0, 0.0]]))
-    assert loop.beyond_limits(index, efforts) == [NAMES[1], NAMES[4]]
-
-
 def test_the_first_report_of_a_locked_joint_does_not_cause_a_jump():
     others = [k for k in range(6) if k != 2]
     names = [NAMES[k] for k in others]
-    loop = ControlLoop(MODEL, names, Settings(start_ramp=0.5), locked={NAMES[2]: 0.2})
+    settings = Settings(start_ramp=0.5)
+    loop = ControlLoop(MODEL, names, settings, 0.05, locked={NAMES[2]: 0.2})
     for now in np.arange(0.0, 1.0, 0.05):
         store_state(loop.collector, now, names, Q[others], np.zeros(5))
         last = loop.step(now).efforts.copy()
@@ -351,11 +343,6 @@ def test_states_without_velocities_are_used_again_before_the_state_is_lost():
         assert command.efforts.any()
         assert loop.controller.phase is Phase.FLOATING
     assert lost == NAMES
-
-
-def test_an_effort_at_the_limit_is_not_beyond_it():
-    loop = ControlLoop(MODEL, settings=Settings(effort_limits=10.0, use_urdf_effort_limits=False))
-    assert loop.beyond_limits([0, 1], np.array([[10.0, -10.0], [0.0, -10.5]])) == [NAMES[1]]
 
 
 ARM = load_urdf(ROOT / 'test/robots/seven_dof.urdf')

@@ -307,20 +307,18 @@ def test_feedback_that_starts_during_motion_does_not_start_with_a_jump():
     assert open_loop.phase is Phase.TOO_FAR
 
 
-@pytest.mark.parametrize('is_lost', [False, True])
-def test_a_tightened_limit_is_reached_along_the_ramp_and_the_rate_limits(is_lost):
-    lift = controller(on_stale_state=StalePolicy.HOLD)
+def test_a_tightened_limit_is_reached_along_the_ramp_and_the_rate_limits():
+    lift = controller()
     lift.step(0.0, state(0.0), None)
-    tight = {'on_stale_state': StalePolicy.HOLD, 'effort_limits': 5.0}
 
     def efforts_at(now):
-        return lift.step(now, state(0.0 if is_lost else now), None).efforts.tolist()
+        return lift.step(now, state(now), None).efforts.tolist()
 
-    lift.apply(Settings(start_ramp=0.1, **tight))
+    lift.apply(Settings(start_ramp=0.1, effort_limits=5.0))
     efforts = [efforts_at(now) for now in (0.15, 0.2, 0.251)]
-    assert lift.phase is (Phase.STATE_LOST if is_lost else Phase.FLOATING)
+    assert lift.phase is Phase.FLOATING
     assert efforts == [pytest.approx(wanted) for wanted in ([30.0, 10.0], [17.5, 7.5], [5.0, 5.0])]
-    lift.apply(Settings(start_ramp=0.0, effort_rate_limits=10.0, **tight | {'effort_limits': 3.0}))
+    lift.apply(Settings(start_ramp=0.0, effort_rate_limits=10.0, effort_limits=3.0))
     efforts = [efforts_at(now) for now in (0.351, 0.451, 0.551)]
     assert efforts == [pytest.approx([wanted, wanted]) for wanted in (4.0, 3.0, 3.0)]
 
@@ -578,15 +576,14 @@ def test_a_blend_ends_although_changes_restart_it_all_the_time(every, kind):
 
 
 def test_a_tightened_limit_applies_although_changes_restart_the_blend_all_the_time():
-    for is_lost in (False, True):
-        ours = {'start_ramp': 0.1, 'on_stale_state': StalePolicy.HOLD, 'effort_limits': 5.0}
-        lift = controller(start_ramp=0.1, on_stale_state=StalePolicy.HOLD)
-        time = settled(lift)
-        for k in range(1500):
-            now = time + 0.001 * k
-            lift.apply(Settings(effort_scale=1.0 + 1e-3 * (k % 2), **ours))
-            efforts = lift.step(now, state(time if is_lost else now), None).efforts
-        assert (efforts < 5.1).all()
+    ours = {'start_ramp': 0.1, 'effort_limits': 5.0}
+    lift = controller(start_ramp=0.1)
+    time = settled(lift)
+    for k in range(1500):
+        now = time + 0.001 * k
+        lift.apply(Settings(effort_scale=1.0 + 1e-3 * (k % 2), **ours))
+        efforts = lift.step(now, state(now), None).efforts
+    assert (efforts < 5.1).all()
 
 
 def test_flags_efforts_that_a_rate_limit_slows():
@@ -652,27 +649,6 @@ def test_a_start_waits_for_a_state_even_after_earlier_ones():
     assert lift.step(0.01, None, None) is None
 
 
-def test_a_limit_tightened_during_a_stop_is_reached_slowly_if_the_efforts_are_then_held():
-    lift = controller(start_ramp=0.5, stop_ramp=1.0)
-    time = settled(lift)
-    lift.stop()
-    falling = lift.step(time + 0.05, state(time), None).efforts.copy()
-    held = Settings(
-        start_ramp=0.5,
-        on_stale_state=StalePolicy.HOLD,
-        effort_limits=(falling[0] - 0.5, 50.0),
-    )
-    lift.apply(held)
-    lift.resume()
-    lost = time - 5.0
-    efforts = [
-        lift.step(time + 0.05 + 0.05 * k, state(lost), None).efforts[0] for k in range(1, 13)
-    ]
-    assert efforts[0] == pytest.approx(falling[0])
-    assert efforts[5] == pytest.approx(falling[0] - 0.25)
-    assert efforts[-1] == pytest.approx(falling[0] - 0.5)
-
-
 def test_held_efforts_are_not_reported_as_cut():
     lift = controller(on_stale_state=StalePolicy.HOLD)
     assert lift.step(0.0, state(0.0), reference(0.0, [9.0, 60.0])).is_saturated.any()
@@ -706,71 +682,25 @@ def test_full_turns_of_a_continuous_joint_make_no_difference():
     assert command.efforts == pytest.approx([0.2, 0.1])
 
 
-@pytest.mark.filterwarnings('error')
-def test_absurd_references_do_not_print_warnings_in_the_loop():
-    lift = controller(mode=Mode.COMPUTED_TORQUE, max_tracking_error=0.0)
-    lift.step(0.0, state(0.0), tracking(0.0, [1.7e308, 0.0], [-1.7e308, 0.0]))
-    assert lift.phase is Phase.NO_SOLUTION
-
-
-def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
-    lift = controller()
-    lift.step(0.0, state(0.0), None)
-    absurd = joint_state(np.array([math.nan, 0.0]), np.zeros(2), 0.01)
-    assert not lift.step(0.01, absurd, None).efforts.any()
-    assert lift.phase is Phase.NO_SOLUTION
-
-
 @pytest.mark.parametrize(
-    ('received', 'wanted', 'settings', 'words'),
+    ('received', 'wanted', 'settings'),
     [
-        (state(0.01), [0.0, -1.7e308], {}, "the acceleration of joint 'high' is -1.7e+308"),
-        (
-            joint_state(np.array([0.0, math.nan]), np.zeros(2), 0.01),
-            [0.0, 0.0],
-            {},
-            "the position of joint 'high' is nan",
-        ),
+        (state(0.01), reference(0.01, [0.0, -1.7e308]), {}),
+        (joint_state(np.array([0.0, math.nan]), np.zeros(2), 0.01), None, {}),
+        (state(0.01), None, {'effort_scale': (1.0, 1e300)}),
+        (state(0.01), reference(0.01, [0.0, 0.0], [-math.inf, 0.0]), {}),
         (
             state(0.01),
-            [0.0, 0.0],
-            {'effort_scale': (1.0, 1e300)},
-            "the computed effort of joint 'high' is 1e+301",
+            tracking(0.01, [1.7e308, 0.0], [-1.7e308, 0.0]),
+            {'mode': Mode.COMPUTED_TORQUE, 'max_tracking_error': 0.0},
         ),
     ],
 )
-def test_the_cause_of_efforts_that_are_not_finite_is_named(received, wanted, settings, words):
-    lift = controller(**settings)
-    lift.step(0.01, received, reference(0.01, wanted))
-    assert lift.phase is Phase.NO_SOLUTION
-    assert lift.law.cause_of_failure() == words
-
-
-@pytest.mark.parametrize(
-    ('efforts', 'words'),
-    [
-        ([0.0, 30.0], "the computed effort of joint 'high' is 4e+301"),
-        ([-math.inf, 0.0], "the added effort of joint 'low' is -inf"),
-        ([0.0, 1e100], "the added effort of joint 'high' is 1e+100"),
-    ],
-)
 @pytest.mark.filterwarnings('error')
-def test_added_efforts_are_part_of_the_cause(efforts, words):
-    lift = controller(effort_scale=(1.0, 1e300))
-    lift.step(0.01, state(0.01), reference(0.01, [0.0, 0.0], efforts))
-    assert lift.law.cause_of_failure() == words
-
-
-def test_of_several_causes_the_first_is_named():
-    lift = controller()
-    lift.step(0.01, state(0.01), reference(0.01, [math.inf, 0.0], [math.nan, 0.0]))
-    assert lift.law.cause_of_failure() == "the acceleration of joint 'low' is inf"
-
-
-def test_added_efforts_without_end_are_no_solution():
-    lift = controller()
+def test_efforts_that_are_not_finite_are_zero_instead(received, wanted, settings):
+    lift = controller(**settings)
     lift.step(0.0, state(0.0), None)
-    assert not lift.step(0.01, state(0.01), reference(0.01, [0, 0], [math.inf, 0])).efforts.any()
+    assert not lift.step(0.01, received, wanted).efforts.any()
     assert lift.phase is Phase.NO_SOLUTION
 
 

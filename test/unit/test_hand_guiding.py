@@ -162,4 +162,3 @@ def test_absurd_velocities_are_no_solution_and_print_no_warnings():
     arm.step(0.0, moving(0.0), None)
     arm.step(0.01, moving(0.01, [1.7e308, 0.0]), None)
     assert arm.phase is Phase.NO_SOLUTION
-    assert arm.law.cause_of_failure() == f"the velocity of joint '{NAMES[0]}' is 1.7e+308"
