@@ -58,7 +58,11 @@ class NodeLog:
     """
 
     def __init__(self, logger: Any) -> None:
-        self._logger = logger
+        self._write = {
+            Level.OK: logger.info,
+            Level.WARN: logger.warning,
+            Level.ERROR: logger.error,
+        }
         self._times: dict[Hashable, float] = {}  # time of the last message for each key
         self._last_activity: tuple[Phase, bool] | None = None
         self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest changes
@@ -83,15 +87,15 @@ class NodeLog:
         if is_full or not self._is_due((topic, hash(text))):
             return
         times.append(now)
-        self._write(Level.WARN if is_problem else Level.OK, f'{topic}: {text}')
+        self._write[Level.WARN if is_problem else Level.OK](f'{topic}: {text}')
 
     def report_robot(self, loop: ControlLoop) -> None:
         """Report the loaded robot, and the warnings about its description."""
         robot, joints = loop.robot, loop.controller.joints
         for warning in robot.warnings:
-            self._logger.warning(str(warning))
+            self._write[Level.WARN](str(warning))
         others = [name for name in robot.joint_names if name not in joints]
-        self._logger.info(
+        self._write[Level.OK](
             f"robot '{robot.name}', {np.sum(robot.mass):.3g} kg; "
             f'the node commands {", ".join(joints)}'
             + (f', and also models {", ".join(others)}' if others else '')
@@ -108,10 +112,10 @@ class NodeLog:
                 is_lasting = name in self._problems and self._problems[name][0] == key
                 self._problems[name] = key, message
                 if self._is_due(key, _LONG_PERIOD if is_lasting else _PERIOD):
-                    self._write(level, message)
+                    self._write[level](message)
             elif name in self._problems and self._is_due(('end', name), _LONG_PERIOD):
                 _, past = self._problems.pop(name)
-                self._write(Level.OK, f'solved: {past}')
+                self._write[Level.OK](f'solved: {past}')
 
     def report_activity(self, now: float, loop: ControlLoop) -> None:
         """Report what the loop does, if this has changed."""
@@ -122,7 +126,7 @@ class NodeLog:
             return
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
-                self._logger.warning(f"joint_states: '{name}' has no velocity; zero is used")
+                self._write[Level.WARN](f"joint_states: '{name}' has no velocity; zero is used")
         steady = time.monotonic()
         # Several changes may follow in quick succession, for example after a clock jump.
         if len(self._changes) == _MOST_CHANGES and steady - self._changes[0] < _PERIOD:
@@ -131,15 +135,7 @@ class NodeLog:
         self._last_activity = key
         level, text = _LEVELS.get(phase, Level.OK), activity(now, loop)
         self._times[_key_of(level, text)] = steady
-        self._write(level, text)
-
-    def _write(self, level: Level, text: str) -> None:
-        if level is Level.ERROR:  # a logger accepts one severity per line of code
-            self._logger.error(text)
-        elif level is Level.WARN:
-            self._logger.warning(text)
-        else:
-            self._logger.info(text)
+        self._write[level](text)
 
     def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast

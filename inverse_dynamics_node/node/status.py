@@ -7,7 +7,6 @@ prints the problems that are new, and `watch` reads some of the values by their 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,49 +89,64 @@ def describe_node(
     return status
 
 
-def _part(fine: str, problems: list[tuple[Level, str]], values: dict[str, str]) -> Part:
-    """Return a part with the texts of its problems; empty texts are no problems."""
+def _part(fine: str, values: dict[str, Any], *problems: tuple[Level, str]) -> Part:
+    """Return a part with the texts of its problems; a problem without text does not exist."""
     found = [(level, text) for level, text in problems if text]
-    if not found:
-        return Part(Level.OK, fine, values)
-    return Part(max(level for level, _ in found), '; '.join(text for _, text in found), values)
+    level = max((level for level, _ in found), default=Level.OK)
+    message = '; '.join(text for _, text in found) or fine
+    return Part(level, message, {key: _text(value) for key, value in values.items()})
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return 'yes' if value else 'no'
+    if isinstance(value, float):
+        return f'{value + 0.0:g}'  # the sum has no negative zero
+    if isinstance(value, str | int):
+        return str(value)
+    return ', '.join(map(_text, () if value is None else value)) or NONE
 
 
 def _loop(now: float, loop: ControlLoop | None, around: Surroundings, monitor: Monitor) -> Part:
     rate, period = monitor.rate, monitor.period
     values = {
         'state': around.state,
-        'rate [Hz]': f'{rate:.1f}',
-        'requested rate [Hz]': f'{1.0 / period:g}' if period else 'that of the joint states',
+        'rate [Hz]': rate,
+        'requested rate [Hz]': 1.0 / period if period else 'that of the joint states',
         'period p99 [ms]': _milliseconds(monitor.periods, 99.0),
         'period worst [ms]': _milliseconds(monitor.periods, 100.0),
         'compute time p99 [ms]': _milliseconds(monitor.durations, 99.0),
-        'overruns': str(monitor.overruns),
+        'overruns': monitor.overruns,
     }
     if loop is None or not around.is_active:
-        return _part(around.state, [], values)
+        return _part(around.state, values)
     phase, doing = loop.controller.phase, activity(now, loop)
     values |= {
         'mode': loop.controller.settings.mode.value,
         'phase': phase.value,
-        'dry run': _yes_or_no(loop.dry_run.is_active),
-        'gain': f'{loop.controller.shaper.gain:.3f}',
+        'dry run': loop.dry_run.is_active,
+        'gain': loop.controller.shaper.gain,
     }
     is_stopped = phase in (Phase.LIMIT_STOP, Phase.NO_SOLUTION)
     is_slow = 0.0 < rate * period < _SLOW
-    problems = [
+    return _part(
+        doing,
+        values,
         (Level.ERROR, doing if is_stopped else ''),
         (Level.WARN, f'only {rate:.1f} commands/s' if is_slow else ''),
-    ]
-    return _part(doing, problems, values)
+    )
+
+
+def _milliseconds(times: list[float], percentile: float) -> float | None:
+    return float(1e3 * np.percentile(times, percentile)) if times else None
 
 
 def _messages(monitor: Monitor) -> Part:
     recent = f'messages rejected since the last report: {monitor.rejections}'
     return _part(
         f'messages rejected in total: {sum(monitor.rejected.values())}',
-        [(Level.WARN, recent if monitor.rejections else '')],
-        {text: str(count) for text, count in monitor.rejected.items()},
+        monitor.rejected,
+        (Level.WARN, recent if monitor.rejections else ''),
     )
 
 
@@ -151,13 +165,13 @@ def _other_nodes(loop: ControlLoop | None, around: Surroundings) -> Part:
     level = Level.ERROR if is_sending or others.namesakes else Level.WARN
     return _part(
         'no other node publishes the commands or has this name',
-        [(level, text) for text in problems],
         {
             'commands': others.commands,
-            'subscribers of the commands': others.subscribers or NONE,
-            'other publishers of the commands': others.rivals or NONE,
-            'other nodes with this name': str(others.namesakes),
+            'subscribers of the commands': others.subscribers or None,
+            'other publishers of the commands': others.rivals or None,
+            'other nodes with this name': others.namesakes,
         },
+        *((level, text) for text in problems),
     )
 
 
@@ -165,7 +179,6 @@ def _clock(clock: SimulatedClock) -> Part:
     """Report simulated time that does not advance."""
     is_late = clock.unchanged_for >= _PAUSE
     fine, problem = 'simulated time advances', ''
-    level = Level.WARN if clock.publishers or not is_late else Level.ERROR
     if not clock.time and not clock.publishers:
         fine = 'no message on /clock yet'
         if clock.unchanged_for >= _DISCOVERY:
@@ -176,14 +189,13 @@ def _clock(clock: SimulatedClock) -> Part:
             if clock.publishers
             else ': nothing publishes /clock any more'
         )
+    values = {
+        'time [s]': f'{clock.time:.3f}',
+        'unchanged for [s]': clock.unchanged_for,
+        'publishers': clock.publishers,
+    }
     return _part(
-        fine,
-        [(level, problem)],
-        {
-            'time [s]': f'{clock.time:.3f}',
-            'unchanged for [s]': f'{clock.unchanged_for:.1f}',
-            'publishers': str(clock.publishers),
-        },
+        fine, values, (Level.WARN if clock.publishers or not is_late else Level.ERROR, problem)
     )
 
 
@@ -191,33 +203,30 @@ def _joint_states(now: float, loop: ControlLoop, around: Surroundings, missing: 
     collector, settings = loop.collector, loop.controller.settings
     if_lost = Level.ERROR if around.is_active else Level.WARN
     unseen, without_velocity = collector.unseen(), collector.without_velocity()
-    problems = [
+    has_feedback = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
+    no_damping = f'joints reported without velocity have no damping in {settings.mode.value}'
+    warnings = [
+        *describe_late(loop, now),
+        *describe_implausible(loop).values(),
+        *(f"'{name}' is not reported; its locked position is used" for name in unseen),
+        no_damping if has_feedback and without_velocity else '',
+    ]
+    return _part(
+        'fresh',
+        {
+            'topic': around.topics[0],
+            'rate [Hz]': around.state_rate,
+            'age [s]': now - collector.time if np.isfinite(collector.time) else 'never',
+            'timeout [s]': settings.state_timeout,
+            'publishers': around.publishers,
+            'late, not commanded': collector.late(now),
+            'locked, never reported': unseen,
+            'without velocity': without_velocity,
+        },
         (if_lost, missing or describe_lost_states(now, loop)),
         (if_lost, _describe_silence(around)),
         (Level.ERROR, describe_motion(now, loop)),
-        *((Level.WARN, text) for text in describe_late(loop, now)),
-        *((Level.WARN, text) for text in describe_implausible(loop).values()),
-        *(
-            (Level.WARN, f"'{name}' is not reported; its locked position is used")
-            for name in unseen
-        ),
-    ]
-    if without_velocity and settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE):
-        text = f'joints reported without velocity have no damping in {settings.mode.value}'
-        problems.append((Level.WARN, text))
-    return _part(
-        'fresh',
-        problems,
-        {
-            'topic': around.topics[0],
-            'rate [Hz]': f'{around.state_rate:.1f}',
-            'age [s]': _age(now, collector.time),
-            'timeout [s]': f'{settings.state_timeout:g}',
-            'publishers': str(around.publishers),
-            'late, not commanded': _listed(collector.late(now)),
-            'locked, never reported': _listed(unseen),
-            'without velocity': _listed(without_velocity),
-        },
+        *((Level.WARN, text) for text in warnings),
     )
 
 
@@ -239,17 +248,17 @@ def _reference(now: float, loop: ControlLoop, around: Surroundings) -> Part:
     is_too_far = around.is_active and controller.phase in TOO_FAR_PHASES
     return _part(
         'disabled' if controller.is_stopping else fine,
-        [(Level.WARN, controller.phase.value if is_too_far else '')],
         {
-            'age [s]': _age(now, loop.reference.time if loop.reference else -np.inf),
-            'timeout [s]': f'{controller.settings.reference_timeout:g}',
+            'age [s]': now - loop.reference.time if loop.reference else 'never',
+            'timeout [s]': controller.settings.reference_timeout,
             'mode': controller.settings.mode.value,
         },
+        (Level.WARN, controller.phase.value if is_too_far else ''),
     )
 
 
 def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monitor) -> Part:
-    controller, cut, unmatched, gains = loop.controller, _listed(monitor.cut), '', ''
+    controller, unmatched, gains = loop.controller, '', ''
     if around.is_active and not around.receivers and not loop.dry_run.is_active:
         unmatched, names = 'the commands have no subscribers', around.others.subscribers
         if names:
@@ -258,67 +267,41 @@ def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monit
         gains = describe_unstable_gains(loop)
     return _part(
         activity(now, loop),
-        [
-            (Level.WARN, unmatched),
-            (Level.WARN, f'effort cut to its limit: {cut}' if monitor.cut else ''),
-            (Level.WARN, gains),
-        ],
         {
-            'receivers': str(around.receivers),
+            'receivers': around.receivers,
             'topic with names': around.topics[1],
             'topic of the external efforts': around.topics[2],
-            'measured efforts contain gravity': _yes_or_no(loop.measures_gravity),
-            'scale of the measured efforts': _listed(
-                loop.external_effort_estimator.scale[loop.index], 'g'
-            ),
-            'scale': _listed(controller.scale, 'g'),
-            'limits [N m, N]': _listed(controller.limits, 'g'),
-            'cut to limit since the last report': cut,
-            **{f'{joint} cut to limit': str(count) for joint, count in monitor.clamped.items()},
-            **{f'{joint} slowed': str(count) for joint, count in monitor.slowed.items()},
+            'measured efforts contain gravity': loop.measures_gravity,
+            'scale of the measured efforts': loop.external_effort_estimator.scale[loop.index],
+            'scale': controller.scale,
+            'limits [N m, N]': controller.limits,
+            'cut to limit since the last report': monitor.cut,
+            **{f'{joint} cut to limit': count for joint, count in monitor.clamped.items()},
+            **{f'{joint} slowed': count for joint, count in monitor.slowed.items()},
         },
+        (Level.WARN, unmatched),
+        (Level.WARN, f'effort cut to its limit: {_text(monitor.cut)}' if monitor.cut else ''),
+        (Level.WARN, gains),
     )
 
 
 def _model(loop: ControlLoop, imu: str) -> Part:
     """Report the robot and its loads; `imu` says why the motion of the base is unknown, if so."""
-    robot, loads = loop.robot, loop.loads
-    count = len(robot.warnings)
+    robot, loads, count = loop.robot, loop.loads, len(loop.robot.warnings)
     warnings = f'{count} warning{"s" * (count > 1)} about the robot description'
-    payloads = loads.payloads
     return _part(
         f"robot '{robot.name}'",
-        [
-            (Level.ERROR, imu),
-            (Level.WARN, OUTDATED if loop.is_outdated else ''),
-            (Level.WARN, warnings if count else ''),
-        ],
         {
             'robot': robot.name,
-            'mass [kg]': f'{np.sum(robot.mass):.4g}',
-            'joints': _listed(loop.controller.joints),
-            'payload': _listed(f'{load.mass:g} kg on {link}' for link, load in payloads.items()),
-            'payload com [m]': _listed((x for load in payloads.values() for x in load.com), '.4g'),
-            'gravity [m/s^2]': (
-                _listed(loads.gravity, '.3f') if loads.include_gravity else 'not included'
-            ),
-            'gravity in the root link [m/s^2]': _listed(loads.gravity_at_root, '.3f'),
+            'mass [kg]': float(np.sum(robot.mass)),
+            'joints': loop.controller.joints,
+            'payload': [f'{load.mass:g} kg on {link}' for link, load in loads.payloads.items()],
+            'payload com [m]': [x for load in loads.payloads.values() for x in load.com],
+            'gravity [m/s^2]': loads.gravity if loads.include_gravity else 'not included',
+            'gravity in the root link [m/s^2]': loads.gravity_at_root,
             **{f'warning {k}': str(each) for k, each in enumerate(robot.warnings, start=1)},
         },
+        (Level.ERROR, imu),
+        (Level.WARN, OUTDATED if loop.is_outdated else ''),
+        (Level.WARN, warnings if count else ''),
     )
-
-
-def _listed(values: Iterable[Any], form: str = '') -> str:
-    return ', '.join(format(value, form) for value in values) or NONE
-
-
-def _milliseconds(times: list[float], percentile: float) -> str:
-    return f'{1e3 * np.percentile(times, percentile):.3f}' if times else NONE
-
-
-def _age(now: float, time: float) -> str:
-    return f'{now - time:.3f}' if np.isfinite(time) else 'never'
-
-
-def _yes_or_no(flag: bool) -> str:
-    return 'yes' if flag else 'no'
