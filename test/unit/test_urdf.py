@@ -505,12 +505,23 @@ def test_irrelevant_elements_do_not_prevent_loading(edit):
     [
         b'\xef\xbb\xbf' + GOOD.encode(),
         GOOD.encode('utf-16'),
+        GOOD.encode('utf-16-le'),
+        GOOD.encode('utf-16-be'),
         GOOD.replace('?>', ' encoding="UTF-16"?>').encode('utf-16'),
         GOOD.replace('?>', ' encoding="ISO-8859-1"?>').encode('latin-1'),
         GOOD.removeprefix('<?xml version="1.0"?>').encode(),
         GOOD.replace('\n', '\r\n').encode(),
     ],
-    ids=['BOM', 'UTF-16', 'UTF-16 declared', 'Latin-1', 'no declaration', 'CRLF'],
+    ids=[
+        'BOM',
+        'UTF-16',
+        'little-endian',
+        'big-endian',
+        'UTF-16 declared',
+        'Latin-1',
+        'no declaration',
+        'CRLF',
+    ],
 )
 def test_encodings_are_recognised(tmp_path, data):
     path = tmp_path / 'encoded.urdf'

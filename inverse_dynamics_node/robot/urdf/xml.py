@@ -142,6 +142,8 @@ def _declared_encoding(data: bytes) -> str:
     """Return the encoding that the byte order mark or the declaration states, or UTF-8."""
     if data.startswith((b'\xff\xfe', b'\xfe\xff')):
         return 'utf-16'
+    if data.startswith((b'<\0', b'\0<')):  # UTF-16 without a byte order mark
+        return 'UTF-16LE' if data.startswith(b'<') else 'UTF-16BE'
     found = _DECLARATION.match(data)
     declared = _ENCODING.search(found[0]) if found else None
     return declared[1].decode('ascii', 'replace') if declared else 'utf-8'
