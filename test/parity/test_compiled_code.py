@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 
@@ -10,19 +9,7 @@ from kinematics import assert_close
 from loads import samples
 import numpy as np
 import pytest
-from robot_files import ROOT, STANFORD
-
-# Efforts of the Stanford arm, to be printed by another interpreter to the last bit.
-PRINT_EFFORTS = f"""
-import numpy as np
-from inverse_dynamics_node import InverseDynamics, load_urdf
-robot = load_urdf({str(STANFORD)!r})
-dynamics = InverseDynamics(robot)
-q, qd, qdd = np.random.default_rng(7).normal(size=(3, 6))
-efforts = [*dynamics.efforts(q, qd, qdd), *dynamics.mass_matrix(q).ravel()]
-efforts += [*dynamics.efforts(np.tile(q, (3, 1)), qd, qdd).ravel()]
-print(*efforts)
-"""
+from robot_files import ROOT
 
 
 def run(code, folder=ROOT, **environment):
@@ -99,17 +86,3 @@ def test_cached_code_is_used_until_another_file_of_its_folder_changes(folder):
     assert call_kernel(folder) == (7.0, 1, '')
     (folder / 'step.py').write_text(STEP.replace('2.0', '-2.0'))
     assert call_kernel(folder) == (-5.0, 0, '')
-
-
-@pytest.mark.long
-def test_cached_efforts_are_not_used_after_a_change_of_the_equations(tmp_path):
-    package = tmp_path / 'inverse_dynamics_node'
-    shutil.copytree(ROOT / 'inverse_dynamics_node', package)
-    before = run(PRINT_EFFORTS, tmp_path).stdout.split()
-    (equations,) = package.rglob('equations.py')
-    text = equations.read_text()
-    doubled = text.replace('mass * accel_com[2]', '2.0 * mass * accel_com[2]')
-    assert doubled != text
-    equations.write_text(doubled)
-    after = run(PRINT_EFFORTS, tmp_path).stdout.split()
-    assert after != before

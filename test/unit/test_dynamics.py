@@ -71,41 +71,6 @@ def test_planar_two_links():
     assert_allclose(dynamics.efforts(q, qd, qdd), matrix @ qdd + velocity + gravity, rtol=1e-12)
 
 
-def test_turntable_with_a_slide_has_coriolis_and_centrifugal_efforts():
-    robot = robot_of(
-        body('table', 1.0, '0 0 0', 0.1),
-        body('slide', 2.0, '0 0 0', 0.0),
-        joint('turn', 'revolute', 'base', 'table', '0 0 0', '0 0 1'),
-        joint('out', 'prismatic', 'table', 'slide', '0 0 0', '1 0 0'),
-    )
-    r, w, v = 0.4, 1.5, 0.7
-    # Coriolis moment 2 m r v w about the axis; centripetal force -m r w^2 along the slide.
-    expected = [2 * 2.0 * r * v * w, -2.0 * r * w**2]
-    dynamics = InverseDynamics(robot)
-    assert_allclose(dynamics.efforts([0.3, r], [w, v], [0.0, 0.0]), expected, rtol=1e-14)
-
-
-def test_lift_carries_its_weight():
-    robot = robot_of(
-        body('car', 4.0, '0.1 0.2 0.3', 0.1),
-        joint('lift', 'prismatic', 'base', 'car', '0 0 0', '0 0 3'),
-    )
-    assert InverseDynamics(robot).efforts([0.5], [2.0], [1.0]) == pytest.approx([4.0 * (G + 1.0)])
-
-
-def test_mimic_joint_adds_to_its_master():
-    mimic = '<mimic joint="left" multiplier="-2" offset="0.1"/>'
-    robot = robot_of(
-        body('a', 1.0, '0 0 0', 0.1),
-        body('b', 3.0, '0 0 0', 0.1),
-        joint('left', 'prismatic', 'base', 'a', '0 0 0', '0 0 1'),
-        joint('right', 'prismatic', 'base', 'b', '0 0 0', '0 0 1', mimic),
-    )
-    # The second body moves by -2 q: its weight lifts the first, its inertia appears four times.
-    expected = 1.0 * (G + 1.0) - 2.0 * 3.0 * (G - 2.0)
-    assert InverseDynamics(robot).efforts([0.0], [0.0], [1.0]) == pytest.approx([expected])
-
-
 def test_arguments_may_be_array_like():
     dynamics = InverseDynamics(PLANAR)
     expected = dynamics.efforts(np.array([1.0, 2.0]), np.array([0.0, 1.0]), np.array([3.0, 0.0]))

@@ -11,7 +11,6 @@ import math
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.robot.model import RobotModel
 from inverse_dynamics_node.robot.urdf import load_urdf
-from inverse_dynamics_node.robot.urdf.bodies import Joint, Mimic, resolve_mimics
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -156,27 +155,6 @@ def test_position_limits_default_to_zero(written, expected):
     text = (ROOT / 'test' / 'robots' / 'pendulum.urdf').read_text()
     model = load_urdf(text.replace('lower="-3.0" upper="3.0"', written))
     assert (model.lower[0], model.upper[0]) == expected
-
-
-def test_mimic_chains_resolve_in_any_order():
-    def joint(name, mimic):
-        nothing = np.zeros(3)
-        ends = (name, 'revolute', '', '', np.eye(3), nothing, nothing)
-        return Joint(*ends, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, mimic)
-
-    joints = [
-        joint('c', Mimic('b', 3.0, 1.0)),
-        joint('b', Mimic('a', 2.0, 0.5)),
-        joint('a', None),
-        joint('d', Mimic('c', -1.0, 0.0)),
-    ]
-    for order in (joints, joints[::-1]):
-        assert resolve_mimics(order) == {
-            'a': Mimic('a', 1.0, 0.0),
-            'b': Mimic('a', 2.0, 0.5),
-            'c': Mimic('a', 6.0, 2.5),
-            'd': Mimic('a', -6.0, -2.5),
-        }
 
 
 def test_models_are_compared_by_identity():
