@@ -31,8 +31,6 @@ test = [
     'pytest-rerunfailures>=14',
     'pytest-timeout>=2',
     'pytest-xdist>=3',
-    'pydocstyle>=6.1',
-    'ros-ament-pep257>=0.17.3,<0.18',
     'ros-domain-coordinator>=0.12,<0.13',
     'ruff==0.17.*',
 ]

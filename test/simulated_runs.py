@@ -88,33 +88,43 @@ def write_bag(
 
     Messages of another kind contain only a header.
     """
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    types = typestore().types
+    velocities = recording.velocities
+    if velocities is None:
+        velocities = np.full_like(recording.positions, np.nan)
+    rows = zip(recording.times, recording.positions, velocities, recording.efforts, strict=True)
+    messages = []
+    for time, positions, speeds, efforts in rows:
+        now = START_STAMP + round(time * 1e9)
+        stamp = types['builtin_interfaces/msg/Time'](*divmod(now * is_stamped, 10**9))
+        message = header = types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
+        for name in (topic, *extra):
+            if kind == 'sensor_msgs/msg/JointState':
+                measured = efforts if has_efforts and name == topic else np.zeros(0)
+                names = list(recording.joint_names)
+                message = types[kind](header, names, positions, speeds, measured)
+            # Messages reach the recorder late, with varying delays.
+            messages.append((name, message, now + 300_000 + now // 1000 % 7 * 100_000))
+    write_messages(path, messages, storage)
+
+
+def typestore():
     from rosbags.typesys import get_typestore, Stores
 
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def write_messages(path, messages, storage='mcap'):
+    """Write topics, messages and times [ns] as rosbag2 does."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    store, topics = typestore(), {}
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
-        topics = {
-            name: writer.add_connection(name, kind, typestore=store) for name in (topic, *extra)
-        }
-        velocities = recording.velocities
-        if velocities is None:
-            velocities = np.full_like(recording.positions, np.nan)
-        rows = zip(
-            recording.times, recording.positions, velocities, recording.efforts, strict=True
-        )
-        for time, positions, speeds, efforts in rows:
-            now = START_STAMP + round(time * 1e9)
-            stamp = types['builtin_interfaces/msg/Time'](*divmod(now * is_stamped, 10**9))
-            message = header = types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
-            for name, connection in topics.items():
-                if kind == 'sensor_msgs/msg/JointState':
-                    measured = efforts if has_efforts and name == topic else np.zeros(0)
-                    names = list(recording.joint_names)
-                    message = types[kind](header, names, positions, speeds, measured)
-                # Messages reach the recorder late, with varying delays.
-                logged = now + 300_000 + now // 1000 % 7 * 100_000
-                writer.write(connection, logged, store.serialize_cdr(message, kind))
+        for topic, message, time in messages:
+            kind = message.__msgtype__
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(topics[topic], time, store.serialize_cdr(message, kind))
 
 
 def write_csv(path, recording):

@@ -25,7 +25,6 @@ import yaml
 pytest.importorskip('mujoco')
 
 JOINTS = load_urdf(STANFORD).joint_names
-FACTORS = [0.08, 0.06, 0.02, 0.5, 0.6, 0.7]
 
 
 @pytest.fixture(scope='session')
@@ -36,12 +35,6 @@ def recorded():
 
 def compare(*arguments):
     return main(['compare', str(STANFORD), *map(str, arguments)])
-
-
-def with_efforts(recording, change):
-    efforts = recording.efforts.copy()
-    change(efforts)
-    return recording._replace(efforts=efforts)
 
 
 # ---- Its findings --------------------------------------------------------------------------
@@ -64,27 +57,6 @@ def test_finds_the_friction_of_the_simulated_robot(recorded, storage, here, caps
     width, height = size_of(here / 'run_compare.png')
     assert 800 <= width <= 1000
     assert 600 <= height <= 1000
-
-
-def test_finds_a_swapped_sign(recorded, here, capsys):
-    column = recorded.joint_names.index('joint_3')
-    write_bag(
-        here / 'run',
-        with_efforts(recorded, lambda tau: np.negative(tau[:, column], tau[:, column])),
-    )
-    assert compare('run', '--no-picture', '--strict') == 3
-    output = capsys.readouterr().out
-    assert output.startswith('joint_3 reports efforts with the wrong sign. ')
-    assert '1 warning\n' in output
-
-
-def test_finds_currents(recorded, here, capsys):
-    write_bag(here / 'run', with_efforts(recorded, lambda tau: np.multiply(tau, FACTORS, tau)))
-    assert compare('run', '--no-picture') == 0
-    output = capsys.readouterr().out
-    assert output.startswith('The efforts are not torques or forces, but proportional to them. ')
-    assert '1 warning\n' in output
-    assert 'joint_2 0.0' in ' '.join(output.split())
 
 
 def test_finds_a_payload_and_nothing_once_it_is_passed(here, capsys):
@@ -181,41 +153,6 @@ def test_friction_option_includes_the_friction_of_the_urdf(here, capsys):
         explained.append(float(capsys.readouterr().out.split()[3].strip('>%')))
     assert explained[1] > explained[0]
     assert explained[1] > 99.5
-
-
-@pytest.mark.long
-def test_draws_many_joints(here, size_of):
-    urdf = here / 'chain.urdf'
-    links = ''.join(
-        f'<link name="l{i}"><inertial><origin xyz="0 0 0.1"/><mass value="0.5"/><inertia '
-        'ixx="0.002" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        f'<joint name="a_joint_with_a_long_name_{i}" type="revolute"><parent link="l{i - 1}"/>'
-        f'<child link="l{i}"/><origin xyz="0 0 0.2"/><axis xyz="{i % 2} {(i + 1) % 2} 0"/>'
-        '<limit lower="-1" upper="1" effort="100" velocity="5"/></joint>'
-        for i in range(1, 21)
-    )
-    urdf.write_text(f'<robot name="chain"><link name="l0"/>{links}</robot>')
-    from inverse_dynamics_node import InverseDynamics
-    from runs import exciting
-
-    robot = load_urdf(urdf)
-    times = 0.01 * np.arange(1000)
-    q, qd, qdd = exciting(robot, times, np.random.default_rng(1))
-    efforts = InverseDynamics(robot).efforts(q, qd, qdd)
-    write_csv(here / 'run.csv', Recording(robot.joint_names, times, q, qd, efforts))
-    assert main(['compare', str(urdf), 'run.csv', '--picture', 'p.png']) == 0
-    width, height = size_of(here / 'p.png')
-    assert 800 <= width <= 1000
-    assert height <= 1300
-
-
-def test_warns_about_positions_in_degrees(short, here, capsys):
-    positions = np.degrees(short.positions)
-    write_csv(here / 'run.csv', short._replace(positions=positions))
-    assert compare('run.csv', '--no-picture', '--strict') == 3
-    output = capsys.readouterr().out
-    assert re.search(r'joint_2 is at [-\d.]+ rad, .* \(in degrees\?\)', ' '.join(output.split()))
-    assert '-> convert the positions to radians' in output
 
 
 # ---- Its inputs ----------------------------------------------------------------------------
@@ -321,106 +258,87 @@ def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
     assert f'{note}: {names[-2]}.' in output
 
 
-def broken(short, here, how):
-    """Write an invalid recording; return its path."""
-    path = here / 'run.csv'
-    if how == 'names':
-        write_csv(path, short._replace(joint_names=tuple('abcdef')))
-    elif how == 'no names':
-        path.write_text('time\n0\n')
-    elif how == 'no efforts':
-        write_csv(path, short._replace(efforts=np.full_like(short.efforts, np.nan)))
-    elif how == 'no positions':
-        write_csv(path, short._replace(positions=np.full_like(short.positions, np.nan)))
-    elif how == 'text':
-        path.write_text('time,joint_1.position,joint_1.effort\n0,1,2\n0.1,1,oops\n')
-    elif how == 'row':
-        path.write_text('time,joint_1.position,joint_1.effort\n0,1\n')
-    elif how == 'bytes':
-        path.write_bytes(b'\xff\xfe\x00')
-    elif how == 'no time':
-        path.write_text('t,joint_1.position\n0,1\n')
-    elif how == 'two times':
-        path.write_text('time,joint_1.position,time,joint_1.effort\n0,1,0,1\n')
-    elif how == 'twice':
-        path = here / 'run'
-        write_bag(
-            path, short._replace(joint_names=('joint_1', *short.joint_names[1:5], 'joint_1'))
-        )
-    elif how == 'semicolons':
-        path.write_text('time;joint_1.effort\n0;1\n')
-    elif how == 'two topics':
-        path = here / 'run'
-        write_bag(path, short, topic='/a', extra=('/b',), has_efforts=False)
-    elif how == 'no topic':
-        path = here / 'run'
-        write_bag(path, short, kind='std_msgs/msg/Header')
-    elif how == 'half a file':
-        write_bag(here / 'run', short)
-        data = (here / 'run' / 'run.mcap').read_bytes()
-        path = here / 'half.mcap'
-        path.write_bytes(data[: len(data) // 2])
-    elif how == 'no metadata':
-        write_bag(here / 'run', short)
-        path = here / 'run'
-        (path / 'metadata.yaml').unlink()
-    elif how == 'kind':
-        path = here / 'run.bagpipe'
-        path.write_text('')
-    return path
+def half_a_file(path, run):
+    write_bag(path.with_name('run'), run)
+    data = (path.with_name('run') / 'run.mcap').read_bytes()
+    path.write_bytes(data[: len(data) // 2])
 
 
+def without_metadata(path, run):
+    write_bag(path, run)
+    (path / 'metadata.yaml').unlink()
+
+
+def one_joint_twice(path, run):
+    write_bag(path, run._replace(joint_names=('joint_1', *run.joint_names[1:5], 'joint_1')))
+
+
+def with_nan(name):
+    return lambda path, run: write_csv(path, run._replace(**{name: np.nan * getattr(run, name)}))
+
+
+# Other errors in CSV files, which are read as those of trajectories, are in test_effort.py.
 @pytest.mark.parametrize(
-    ('how', 'words'),
+    ('name', 'write', 'words'),
     [
-        ('names', 'has no joint of this robot, only a, b, c, d, e, f; expected some of joint_1'),
-        ('two times', "2 columns 'time', expected one"),
-        ('twice', "/joint_states: message 0 names joint 'joint_1' more than once"),
-        ('no names', 'has no joint names; expected some of joint_1'),
-        ('no efforts', 'all efforts of the joints of this robot are empty or NaN'),
-        ('no positions', "all positions of joint 'joint_1' are empty or NaN"),
-        ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),
-        ('row', 'line 2 has 2 values, but the header has 3 columns'),
-        ('bytes', 'run.csv: is not a CSV file'),
         (
-            'no time',
-            "no column 'time'; the columns are t, joint_1.position; expected 'time' [s] and, for "
-            "each joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.effort'; "
-            'the joints are joint_1, joint_2',
+            'run.csv',
+            lambda path, run: write_csv(path, run._replace(joint_names=tuple('abcdef'))),
+            'has no joint of this robot, only a, b, c, d, e, f; expected some of joint_1',
         ),
         (
-            'semicolons',
-            "cells are separated by ';', expected ','; the columns are time, joint_1.effort; "
-            "expected 'time' [s]",
+            'run.csv',
+            lambda path, _: path.write_text('time\n0\n'),
+            'has no joint names; expected some of joint_1',
         ),
-        ('two topics', 'several topics of type sensor_msgs/msg/JointState (/a, /b), none of'),
-        ('no topic', 'has no topic of type sensor_msgs/msg/JointState; topics: /joint_states'),
-        ('half a file', 'half.mcap: '),
-        ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder, or one of these files'),
-        ('kind', "is a '.bagpipe' file, expected a rosbag2 folder, or a .mcap, .db3 or .csv file"),
-        ('nothing', 'no such file or folder'),
+        (
+            'run.csv',
+            with_nan('efforts'),
+            'all efforts of the joints of this robot are empty or NaN',
+        ),
+        (
+            'run.csv',
+            with_nan('positions'),
+            "all positions of joint 'joint_1' are empty or NaN",
+        ),
+        ('run', one_joint_twice, "/joint_states: message 0 names joint 'joint_1' more than once"),
+        (
+            'run',
+            lambda path, run: write_bag(path, run, topic='/a', extra=('/b',), has_efforts=False),
+            'several topics of type sensor_msgs/msg/JointState (/a, /b), none of',
+        ),
+        (
+            'run',
+            lambda path, run: write_bag(path, run, kind='std_msgs/msg/Header'),
+            'has no topic of type sensor_msgs/msg/JointState; topics: /joint_states',
+        ),
+        ('half.mcap', half_a_file, 'half.mcap: '),
+        (
+            'run',
+            without_metadata,
+            'has no metadata.yaml, expected a rosbag2 folder, or one of these files',
+        ),
+        (
+            'run.bagpipe',
+            lambda path, _: path.write_text(''),
+            "is a '.bagpipe' file, expected a rosbag2 folder, or a .mcap, .db3 or .csv file",
+        ),
+        ('nothing', lambda *_: None, 'no such file or folder'),
     ],
 )
-def test_errors_are_one_line(short, here, how, words, capsys):
-    assert compare(broken(short, here, how), '--no-picture') == 1
+def test_errors_are_one_line(short, here, name, write, words, capsys):
+    write(here / name, short)
+    assert compare(name, '--no-picture') == 1
     error = capsys.readouterr().err
     assert words in error
     assert error.startswith('inverse_dynamics: ')
     assert len(error.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (['--link', 'tool9'], "link 'tool9' does not exist"),
-        (['--payload', '-1'], 'mass is -1.0'),
-        (['--topic', '/joint_states'], 'a CSV file has no topics'),
-    ],
-)
-def test_invalid_settings_are_reported(short, here, arguments, words, capsys):
+def test_a_topic_of_a_table_is_an_error(short, here, capsys):
     write_csv(here / 'run.csv', short)
-    assert compare('run.csv', '--no-picture', *arguments) == 1
-    assert words in capsys.readouterr().err
+    assert compare('run.csv', '--no-picture', '--topic', '/joint_states') == 1
+    assert 'a CSV file has no topics' in capsys.readouterr().err
 
 
 def test_the_node_accepts_the_parameters(recorded, here):

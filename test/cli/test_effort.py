@@ -14,9 +14,10 @@ from inverse_dynamics_node.errors import TrajectoryError
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
-from robot_files import STANFORD
+from robot_files import ROOT, STANFORD
+from simulated_runs import typestore, write_messages
 
-yaml = pytest.importorskip('yaml')
+pytest.importorskip('rosbags')
 
 JOINTS = tuple(f'joint_{i}' for i in range(1, 7))
 MOVE = """\
@@ -164,23 +165,10 @@ def test_payload_and_friction_change_the_result(tmp_path, write, capsys):
     assert len(set(tables)) == 3
 
 
-@pytest.mark.parametrize('count', [1, pytest.param(30, marks=pytest.mark.long)])
-def test_draws_any_number_of_joints(tmp_path, write, size_of, count):
-    links = ''.join(
-        f'<link name="l{i}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" '
-        'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
-        for i in range(count + 1)
-    )
-    joints = ''.join(
-        f'<joint name="j{i}" type="continuous"><parent link="l{i}"/><child link="l{i + 1}"/>'
-        '<axis xyz="0 1 0"/></joint>'
-        for i in range(count)
-    )
-    urdf = write(f'<robot name="snake">{links}{joints}</robot>', 'snake.urdf')
-    names = [f'j{i}' for i in range(count)]
-    points = [{'positions': count * [0.3 * t], 'time_from_start': t} for t in (0, 1)]
-    text = yaml.safe_dump({'joint_names': names, 'points': points})
-    assert main(['effort', str(urdf), str(write(text)), '--picture', 'p.png']) == 0
+def test_draws_one_joint(tmp_path, write, size_of):
+    motion = write('time,swing\n0,0\n1,0.3\n', 'a.csv')
+    pendulum = ROOT / 'test' / 'robots' / 'pendulum.urdf'
+    assert main(['effort', str(pendulum), str(motion), '--picture', 'p.png']) == 0
     width, height = size_of(tmp_path / 'p.png')
     assert width == 900
     assert 300 <= height <= 2200
@@ -335,6 +323,7 @@ def test_reads_columns_with_the_suffix_position(write):
         ),
         ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no position column"),
         ('time,joint_1,joint_1\n0,1,2\n', "two columns contain the position of joint 'joint_1'"),
+        ('time,joint_1,time\n0,1,0\n', "has 2 columns 'time', expected one"),
         ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, but the header has 2 columns'),
         ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
     ],
@@ -355,71 +344,31 @@ def test_empty_or_backward_trajectories_are_rejected(write, capsys):
 # ---- Recordings ----------------------------------------------------------------------------
 
 
-class Recording:
-    """Writes messages as `ros2 bag record` does, by the library that reads them."""
+TYPES = typestore().types
 
-    def __init__(self, path, plugin):
-        from rosbags.rosbag2 import Writer
-        from rosbags.typesys import get_typestore, Stores
 
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-        self.types = self.store.types
-        self.writer = Writer(path, version=9, storage_plugin=plugin)
-        self.connections = {}
-
-    def write(self, topic, message, time):
-        kind = message.__msgtype__
-        if topic not in self.connections:
-            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
-        data = self.store.serialize_cdr(message, kind)
-        self.writer.write(self.connections[topic], int(1e9 * time), data)
-
-    def stamp(self, time):
-        stamp = self.types['builtin_interfaces/msg/Time'](int(time), round(time % 1.0 * 1e9))
-        return self.types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
-
-    def state(self, time):
-        empty = np.zeros(0)
-        return self.types['sensor_msgs/msg/JointState'](
-            self.stamp(time), ['joint_1'], np.zeros(1), empty, empty
+def trajectory_message(times, positions):
+    stamp = TYPES['builtin_interfaces/msg/Time'](0, 0)
+    header = TYPES['std_msgs/msg/Header'](stamp=stamp, frame_id='')
+    duration, empty = TYPES['builtin_interfaces/msg/Duration'], np.zeros(0)
+    points = [
+        TYPES['trajectory_msgs/msg/JointTrajectoryPoint'](
+            np.array(row), empty, empty, empty, duration(int(t), round(t % 1.0 * 1e9))
         )
-
-    def trajectory(self, times, positions):
-        duration = self.types['builtin_interfaces/msg/Duration']
-        empty = np.zeros(0)
-        points = [
-            self.types['trajectory_msgs/msg/JointTrajectoryPoint'](
-                np.array(row), empty, empty, empty, duration(int(t), round(t % 1.0 * 1e9))
-            )
-            for t, row in zip(times, positions, strict=True)
-        ]
-        return self.types['trajectory_msgs/msg/JointTrajectory'](
-            self.stamp(0.0), ['joint_2', 'joint_3'], points
-        )
+        for t, row in zip(times, positions, strict=True)
+    ]
+    return TYPES['trajectory_msgs/msg/JointTrajectory'](header, ['joint_2', 'joint_3'], points)
 
 
-@pytest.fixture(params=['MCAP', 'SQLITE3'])
-def record(request, tmp_path):
-    from rosbags.rosbag2 import StoragePlugin
-
-    def record(messages):
-        recording = Recording(tmp_path / 'bag', StoragePlugin[request.param])
-        with recording.writer:
-            messages(recording)
-        return tmp_path / 'bag'
-
-    return record
-
-
-def test_reads_a_recorded_trajectory(record, capsys):
-    def messages(recording):
-        recording.write('/joint_states', recording.state(1.0), 1.0)
-        moving = recording.trajectory([0.0, 1.5], [[-1.0, 0.4], [-1.5, 0.9]])
-        for k, points in enumerate((0, 1, 2, 1)):
-            shorter = replace(moving, points=moving.points[:points])
-            recording.write('/controller/joint_trajectory', shorter, 2.0 + k)
-
-    bag = record(messages)
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_reads_a_recorded_trajectory(tmp_path, storage, capsys):
+    moving = trajectory_message([0.0, 1.5], [[-1.0, 0.4], [-1.5, 0.9]])
+    messages = [('/stamps', moving.header, 1)]
+    for k, points in enumerate((0, 1, 2, 1)):
+        shorter = replace(moving, points=moving.points[:points])
+        messages.append(('/controller/joint_trajectory', shorter, 2 + k))
+    bag = tmp_path / 'bag'
+    write_messages(bag, messages, storage)
     trajectory, notes = read(bag)
     assert trajectory.times.tolist() == [0.0, 1.5]
     assert trajectory.positions.tolist() == [[-1.0, 0.4], [-1.5, 0.9]]
@@ -432,11 +381,11 @@ def test_reads_a_recorded_trajectory(record, capsys):
     assert Path('bag_efforts.csv').exists()
 
 
-def test_recordings_without_a_trajectory_are_rejected(record):
-    bag = record(lambda recording: recording.write('/joint_states', recording.state(1.0), 1.0))
-    words = 'no JointTrajectory message with points; topics: /joint_states'
+def test_recordings_without_a_trajectory_are_rejected(tmp_path):
+    write_messages(tmp_path / 'bag', [('/stamps', trajectory_message([], []).header, 1)])
+    words = 'no JointTrajectory message with points; topics: /stamps'
     with pytest.raises(TrajectoryError, match=words):
-        read(bag)
+        read(tmp_path / 'bag')
 
 
 def test_invalid_recordings_are_rejected(tmp_path, capsys):

@@ -87,21 +87,3 @@ def test_many_joints_shorten_the_search_of_check(here, capsys, monkeypatch):
     monkeypatch.setattr(sizing, '_MOST_BODIES', 2000.0)
     assert main(['check', str(STANFORD), '--samples', '64']) == 0
     assert 'With this many joints' in capsys.readouterr().out
-
-
-@pytest.mark.parametrize('joints', [6, 30, 60, 100, 200, 500, 2000])
-def test_the_search_of_check_is_bounded(joints):
-    starts, windows, moved = sizing._extent_of_search(joints)
-    bodies = joints * starts * len(windows) * min(moved, joints) * 35 * joints
-    assert bodies <= max(sizing._MOST_BODIES, 35 * joints**2)
-    if joints <= 60:
-        assert (starts, len(windows)) == (3, 4)
-        assert moved >= joints
-
-
-def test_states_are_limited_by_memory():
-    whole, _ = trajectory.complete(
-        trajectory.Trajectory(('a',), np.array([0.0, 1e6]), np.array([[0.0], [1.0]]))
-    )
-    with pytest.raises(trajectory.TrajectoryError, match='1e\\+09 states are too many'):
-        trajectory.refine(whole, 1e-3)

@@ -7,7 +7,6 @@ from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.analysis.diagnosis import diagnose_recording, friction_parameters
 from inverse_dynamics_node.report.compare_report import (
     comparison_table,
-    friction_table,
     verdict,
 )
 from inverse_dynamics_node.report.diagnosis_text import diagnosis_warning
@@ -152,13 +151,6 @@ def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_mo
     hint = diagnosis_warning(diagnosis).hint
     assert ('Zero the torque sensors' in hint) is not is_motor_side
     assert ('motor currents' in hint) is is_motor_side
-
-
-def test_standard_errors_are_limited_to_random_errors_in_the_headline():
-    result = diagnose_recording(*run('branched', rate=100.0, friction=(0.5, 0.5)))
-    assert (
-        'standard errors, which cover random errors only' in friction_table(result).splitlines()[0]
-    )
 
 
 @EVERY_ROBOT

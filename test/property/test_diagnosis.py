@@ -157,15 +157,6 @@ def test_finds_a_payload_on_a_given_link():
     assert result.faults[0].values == pytest.approx((2.0, 0.0, -0.1, 0.0), abs=0.05)
 
 
-def test_a_payload_of_the_model_is_not_a_fault():
-    def load(dynamics):
-        dynamics.set_payload('tool0', 1.0, (0.0, 0.0, 0.1))
-
-    dynamics, recording = run('seven_dof', act=load)
-    load(dynamics)
-    assert kinds(diagnose_recording(dynamics, recording)) == []
-
-
 def test_friction_of_a_joint_that_is_not_measured_or_explained_is_unknown(rng):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
