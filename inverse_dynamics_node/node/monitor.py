@@ -25,7 +25,7 @@ class Monitor:
     def __init__(self, period: float = 0.0) -> None:
         self.rejected: Counter[str] = Counter()
         """Number of messages rejected since the start, by topic and reason."""
-        self.clamped: Counter[str] = Counter()
+        self.cut_counts: Counter[str] = Counter()
         """How often the effort of each joint has been cut to its limit since the start."""
         self.slowed: Counter[str] = Counter()
         """How often a rate limit has slowed the effort of each joint since the start."""
@@ -66,9 +66,9 @@ class Monitor:
             self.overruns += 0.0 < 1.5 * self.period < elapsed
         self.durations.append(duration)
         if np.count_nonzero(command.is_saturated):  # any() takes longer
-            clamped = list(compress(joints, command.is_saturated))
-            self.clamped.update(clamped)
-            self.cut += [name for name in clamped if name not in self.cut]
+            cut = list(compress(joints, command.is_saturated))
+            self.cut_counts.update(cut)
+            self.cut += [name for name in cut if name not in self.cut]
         if np.count_nonzero(command.is_slowed):
             self.slowed.update(compress(joints, command.is_slowed))
 

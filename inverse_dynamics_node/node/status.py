@@ -276,7 +276,7 @@ def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monit
             'scale': controller.scale,
             'limits [N m, N]': controller.limits,
             'cut to limit since the last report': monitor.cut,
-            **{f'{joint} cut to limit': count for joint, count in monitor.clamped.items()},
+            **{f'{joint} cut to limit': count for joint, count in monitor.cut_counts.items()},
             **{f'{joint} slowed': count for joint, count in monitor.slowed.items()},
         },
         (Level.WARN, unmatched),
