@@ -48,6 +48,16 @@ def rng():
     return np.random.default_rng(1979)
 
 
+@pytest.fixture
+def brief(monkeypatch):
+    """Search for excitation motions for a short time; the promises do not depend on it."""
+    from inverse_dynamics_node.analysis.excitation import search
+
+    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
+    monkeypatch.setattr(search, 'CANDIDATES', 4)
+    monkeypatch.setattr(search, 'HARMONICS', 3)
+
+
 @pytest.fixture(params=OUR_ROBOTS, ids=lambda path: path.stem)
 def urdf_path(request):
     """Return the path of each of our robots in turn."""

@@ -4,8 +4,7 @@ import io
 import sys
 
 from inverse_dynamics_node.cli.main import main
-import pytest
-from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD
+from robot_files import NOTHING_MOVES, ROOT, STANFORD
 
 ROBOTS = ROOT / 'test' / 'robots'
 
@@ -25,15 +24,6 @@ def test_begins_with_a_verdict_and_draws_on_request(tmp_path, capsys, size_of):
     width, height = size_of(tmp_path / 'arm.png')
     assert 800 <= width <= 1000
     assert 250 <= height <= 400
-
-
-@pytest.mark.long
-def test_draws_a_humanoid(tmp_path, size_of):
-    paths = [path for path in real_robots() if path.name == 'talos_full_v2.urdf']
-    if not paths:
-        pytest.skip('example-robot-data is not installed')
-    assert main(['check', str(paths[0]), '--picture', 'p.png', '--samples', '64']) == 0
-    assert size_of(tmp_path / 'p.png')[1] >= 900
 
 
 def test_warns_without_limits(tmp_path, capsys):
@@ -97,18 +87,3 @@ def test_a_robot_without_movable_joints_is_reported(tmp_path, capsys):
     urdf.write_text(NOTHING_MOVES)
     assert main(['check', str(urdf)]) == 0
     assert 'no joint can move' in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'words'),
-    [
-        (['nowhere.urdf'], 'nowhere.urdf: cannot be read'),
-        ([str(STANFORD), '--link', 'tool9'], "link 'tool9' does not exist"),
-    ],
-)
-def test_errors_are_one_line(arguments, words, capsys):
-    assert main(['check', *arguments]) == 1
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.startswith('inverse_dynamics: ')
-    assert len(error.splitlines()) == 1

@@ -1,6 +1,5 @@
 """The command `excite`, and the files that it writes."""
 
-from inverse_dynamics_node.analysis.excitation import search
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.robot.urdf import load_urdf
@@ -13,13 +12,7 @@ yaml = pytest.importorskip('yaml')
 
 ROBOT = load_urdf(STANFORD)
 NAMES = ROBOT.joint_names
-
-
-@pytest.fixture(autouse=True)
-def brief(monkeypatch):
-    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
-    monkeypatch.setattr(search, 'CANDIDATES', 4)
-    monkeypatch.setattr(search, 'HARMONICS', 3)
+pytestmark = pytest.mark.usefixtures('brief')
 
 
 def excite(*arguments):
@@ -63,6 +56,7 @@ def test_the_rehearsal_is_the_same_path_five_times_slower(here):
     assert slow.times[-1] == 50.0
     assert_allclose(slow.positions[::5], fast.positions, atol=1e-8)
     assert_allclose(slow.velocities[::5], 0.2 * fast.velocities, atol=1e-8)
+    assert_allclose(slow.accelerations[::5], 0.04 * fast.accelerations, atol=1e-8)
 
 
 @pytest.mark.long

@@ -145,21 +145,6 @@ def test_a_full_disk_leaves_the_old_file_whole(here):
     assert contents(here) == before
 
 
-def test_a_picture_that_cannot_be_finished_leaves_the_old_one(here, monkeypatch, capsys):
-    pyplot = pytest.importorskip('matplotlib.figure')
-    (here / 'arm.png').write_text('old')
-    before = contents(here)
-
-    def savefig(self, path, **_):
-        path.write_text('half')
-        raise OSError(28, 'No space left on device')
-
-    monkeypatch.setattr(pyplot.Figure, 'savefig', savefig)
-    assert main(['check', 'arm.urdf', '--picture', 'arm.png', '--force']) == 1
-    assert capsys.readouterr().err == 'inverse_dynamics: arm.png: No space left on device\n'
-    assert contents(here) == before
-
-
 def test_the_target_of_a_link_is_replaced(here):
     (here / 'link.txt').symlink_to('real.txt')
     with new_file(here / 'link.txt') as path:

@@ -3,7 +3,6 @@
 import contextlib
 
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
-from lxml import etree
 import numpy as np
 from numpy.testing import assert_allclose
 from pinocchio_joints import write_positions
@@ -86,18 +85,6 @@ def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
         tolerance = relative * np.abs(pose).max()
         assert_allclose(dynamics.pose(q, link), pose, rtol=0, atol=tolerance)
         assert_allclose(dynamics.jacobian(q, link), jacobian, rtol=0, atol=tolerance)
-
-
-@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
-def test_our_robots_with_quaternions(path):
-    urdf = path.read_text()
-    root = etree.fromstring(urdf.encode())
-    root.set('version', '1.1')
-    for origin in root.iter('origin'):
-        rpy = np.fromstring(origin.attrib.pop('rpy', '0 0 0'), sep=' ')
-        quaternion = pinocchio.Quaternion(pinocchio.rpy.rpyToMatrix(rpy)).coeffs()  # x, y, z, w
-        origin.set('quat_xyzw', ' '.join(map(repr, quaternion.tolist())))
-    assert_equal_to_pinocchio(load_urdf(etree.tostring(root, encoding='unicode')), urdf)
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.excitation import clearance as clearances
-from inverse_dynamics_node.analysis.excitation import search
 from inverse_dynamics_node.analysis.excitation.clearance import CLEARANCE, find_clearance
 from inverse_dynamics_node.analysis.excitation.limits import (
     keep_clear,
@@ -39,14 +38,6 @@ ARM = f"""<robot name="r">
   <origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
   <limit lower="-3" upper="3" velocity="2" effort="20"/></joint>
 </robot>"""
-
-
-@pytest.fixture
-def brief(monkeypatch):
-    """Search for a short time; the promises about distances do not depend on it."""
-    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
-    monkeypatch.setattr(search, 'CANDIDATES', 4)
-    monkeypatch.setattr(search, 'HARMONICS', 3)
 
 
 def capsules_of(urdf, robot):

@@ -33,9 +33,6 @@ def robot_of(*parts):
     return load_urdf(f'<robot name="r"><link name="base"/>{"".join(parts)}</robot>')
 
 
-PENDULUM = robot_of(
-    body('rod', 2.0, '0.3 0 0', 0.05), joint('hinge', 'revolute', 'base', 'rod', '0 0 1', '0 1 0')
-)
 # In the x-z plane, gravity along -z, angles about -y: positive lifts.
 PLANAR = robot_of(
     body('upper', 3.0, '0.2 0 0', 0.04),
@@ -43,13 +40,6 @@ PLANAR = robot_of(
     joint('shoulder', 'revolute', 'base', 'upper', '0 0 0', '0 -1 0'),
     joint('elbow', 'revolute', 'upper', 'lower', '0.5 0 0', '0 -1 0'),
 )
-
-
-def test_pendulum():
-    q, qd, qdd = 0.7, 1.3, -0.4
-    # About y, gravity along -z, rod along x: tau = (I + m l^2) qdd - m g l cos q
-    expected = (0.05 + 2.0 * 0.3**2) * qdd - 2.0 * G * 0.3 * np.cos(q)
-    assert_allclose(InverseDynamics(PENDULUM).efforts([q], [qd], [qdd]), [expected], rtol=1e-14)
 
 
 def test_planar_two_links():

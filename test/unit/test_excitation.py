@@ -25,20 +25,8 @@ NAMES = 'planar_2r', 'cartesian', 'continuous', 'mimic_gripper'
 SOME = [*(ROBOTS / f'{name}.urdf' for name in NAMES), STANFORD]
 
 
-@pytest.fixture
-def brief(monkeypatch):
-    """Search for a short time; the promises about limits do not depend on it."""
-    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
-    monkeypatch.setattr(search, 'CANDIDATES', 4)
-    monkeypatch.setattr(search, 'HARMONICS', 3)
-
-
 def dynamics_of(path):
     return InverseDynamics(load_urdf(path))
-
-
-def find(dynamics, limits, **options):
-    return find_excitation(dynamics, limits, **options)
 
 
 def states_of(excitation, count=2001):
@@ -75,18 +63,6 @@ def test_a_series_is_at_rest_at_both_ends_and_its_derivatives_agree(harmonics, r
     assert_allclose((after[1] - before[1]) / (2.0 * step), now[2], atol=1e-6)
 
 
-def test_a_rehearsal_follows_the_same_path_slowly(rng):
-    series = FourierSeries(('a',), 10.0, rng.normal(size=(1, 9)))
-    fast, slow = series.trajectory(100.0), series.trajectory(20.0, speed=0.2)
-    assert slow.times[-1] == pytest.approx(50.0)
-    assert (slow.positions == fast.positions).all()
-    assert_allclose(slow.velocities, 0.2 * fast.velocities)
-    assert_allclose(slow.accelerations, 0.04 * fast.accelerations)
-    assert (slow.positions[0] == slow.positions[-1]).all()
-    for values in (fast.velocities, fast.accelerations):
-        assert not values[[0, -1]].any()
-
-
 # Limits
 
 
@@ -94,7 +70,7 @@ def test_a_rehearsal_follows_the_same_path_slowly(rng):
 def test_a_motion_is_within_all_limits(path, brief):
     dynamics = dynamics_of(path)
     limits = motion_limits(dynamics.robot)
-    excitation = find(dynamics, limits)
+    excitation = find_excitation(dynamics, limits)
     states = states_of(excitation)
     robot, index = dynamics.robot, limits.index
     assert np.ptp(states.q, axis=0).min() > 1e-3
@@ -121,7 +97,7 @@ def test_a_motion_of_a_random_robot_is_within_weak_drives(seed, brief):
     poses = np.random.default_rng(seed).uniform(limits.lower, limits.upper, (500, 3))
     weak = np.max(np.abs(dynamics.gravity_efforts(poses)), axis=0) + 1e-3
     object.__setattr__(limits, 'efforts', weak)
-    states = states_of(find(dynamics, limits))
+    states = states_of(find_excitation(dynamics, limits))
     efforts = np.abs(dynamics.efforts(*states))
     assert (efforts <= weak).all()
     assert (np.max(efforts, axis=0) > 0.2 * weak).any()
@@ -151,7 +127,7 @@ def test_only_chosen_joints_move_and_the_others_stay(brief):
     names = dynamics.robot.joint_names
     limits = motion_limits(dynamics.robot, names[3:1:-1])
     assert limits.joint_names == names[2:4]
-    excitation = find(dynamics, limits)
+    excitation = find_excitation(dynamics, limits)
     assert excitation.series.joint_names == names[2:4]
     whole = whole_states(limits, states_of(excitation))
     assert not whole.q[:, [0, 1, 4, 5]].any()
@@ -202,7 +178,7 @@ def test_invalid_options_are_rejected(options, words):
 def planar():
     """Return an excitation motion of a planar arm."""
     dynamics = dynamics_of(PLANAR)
-    return find(dynamics, motion_limits(dynamics.robot))
+    return find_excitation(dynamics, motion_limits(dynamics.robot))
 
 
 def test_the_information_is_more_than_that_of_random_motions(planar, rng):
@@ -279,5 +255,5 @@ def test_expected_errors_are_those_of_simulated_recordings(planar, rng):
 
 def test_the_search_finds_the_same_motion_again(planar):
     dynamics = planar.unknowns.dynamics
-    again = find(dynamics, motion_limits(dynamics.robot))
+    again = find_excitation(dynamics, motion_limits(dynamics.robot))
     assert (again.series.coefficients == planar.series.coefficients).all()
