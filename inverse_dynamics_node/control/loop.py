@@ -13,7 +13,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..robot.model import Booleans, Floats, RobotModel
 from .contact import ExternalEffortEstimator
 from .external_loads import ExternalLoads
-from .joint_states import JointStateCollector, State
+from .joint_states import Events, JointStateCollector, State
 from .laws import joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
 from .settings import MeasuredGravity, Settings, StalePolicy
@@ -39,41 +39,62 @@ class Command(NamedTuple):
     """Joints whose velocities are no longer reported since the last step."""
 
 
-class Controller:
+class ControlLoop:
     """
     Computes one command per step; equal sequences of inputs produce equal commands.
 
     The dynamics include all n joints of the robot. Uncommanded joints are assumed to have zero
     acceleration. ``joints`` lists the m joints to command, in the order of the commands. An empty
-    list means all joints of the robot. ``period`` is the time between steps [s]; 0 if each joint
-    state triggers a step. A ConfigurationError is raised if a joint cannot be commanded, or if a
-    setting does not fit the joints.
+    list means all joints. ``period`` is the time between steps [s]; 0 if each joint state triggers
+    a step. ``gravity`` is the free-fall acceleration in the frame of the base link [m/s^2]; see
+    `ExternalLoads`. ``locked`` contains the positions of locked joints; see
+    `JointStateCollector`. Locked joints cannot be commanded. If ``has_imu`` is true, there are no
+    commands before the first message about the motion of the base. A ConfigurationError is raised
+    if an argument does not fit the robot.
 
     """
 
     def __init__(
         self,
-        dynamics: InverseDynamics,
+        robot: RobotModel,
         joints: Sequence[str] = (),
         settings: Settings | None = None,
         period: float = 0.0,
+        gravity: ArrayLike = STANDARD_GRAVITY,
+        base_link: str = '',
+        locked: Mapping[str, float] | None = None,
+        has_imu: bool = False,
     ) -> None:
-        robot = dynamics.robot
-        self.dynamics = dynamics
+        self.robot, self.dynamics = robot, InverseDynamics(robot)
+        self.description = ''
+        """The URDF as XML text, if known."""
+        self.is_outdated = False
+        """Whether another robot description has arrived that the loop does not use."""
         self.joints = tuple(joints) or robot.joint_names
-        self._index = joint_index(self.joints, robot)
-        units = ['m' if robot.is_prismatic_joint[i] else 'rad' for i in self._index]
+        self.index = index = joint_index(self.joints, robot)
+        # The inputs
+        self.collector = JointStateCollector(robot.joint_names, locked, self.joints)
+        self.base_link, self.has_imu = base_link or robot.body_names[0], has_imu
+        self.loads = ExternalLoads(self.dynamics, settings, gravity, base_link)
+        self.reference: Reference | None = None
+        # The way from the inputs to the command
+        units = ['m' if robot.is_prismatic_joint[i] else 'rad' for i in index]
         self.supervisor = Supervisor(self.joints, units)
-        self.law = Law(dynamics, self._index)
+        self.law = Law(self.dynamics, index)
         """The law of the present mode."""
-        self.stop_damping = StopDamping(dynamics, self._index)
-        self.shaper = CommandShaper(self._index, period)
-        self.motion_limits = MotionLimits(dynamics, self._index)
+        self.motion_limits = MotionLimits(self.dynamics, index)
         self.motion_problem = '', -math.inf
         """What the motion limits have found without stopping the arm, and when [s]."""
-        command = self.shaper.command
+        self.stop_damping = StopDamping(self.dynamics, index)
+        self.shaper = CommandShaper(index, period)
+        self.dry_run = DryRun()
+        """Selects the efforts to send, also while no dry run is active."""
         flags = self.shaper.is_saturated, self.shaper.is_slowed
-        self._result = Command(command, *flags, sent=command)
+        self._result = Command(self.shaper.command, *flags, sent=self.shaper.command)
+        # Further outputs
+        self.drive = DriveReference()
+        self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
+        self.measured_gravity = MeasuredGravity.AS_COMMANDED
         self.apply(settings or Settings())
 
     def apply(self, settings: Settings) -> None:
@@ -85,18 +106,21 @@ class Controller:
         wrong number of values, a ConfigurationError is raised and nothing changes.
 
         """
-        of_joint, robot = settings.expanded(len(self.joints)), self.dynamics.robot
+        of_joint, robot = settings.expanded(len(self.joints)), self.robot
         limits = of_joint['effort_limits']
         if settings.use_urdf_effort_limits:
-            limits = np.minimum(limits, robot.effort_limits[self._index])
+            limits = np.minimum(limits, robot.effort_limits[self.index])
         self.settings, self.of_joint, self.limits = settings, of_joint, limits
+        self.loads.settings = settings
+        # Less than the state timeout, so that messages without velocities do not stop the arm.
+        self.collector.velocity_timeout = 0.5 * settings.state_timeout
         kind = LAWS[settings.mode]
         if type(self.law) is not kind:
-            self.law = kind(self.dynamics, self._index)
+            self.law = kind(self.dynamics, self.index)
         self.law.apply(settings, of_joint)
         self.supervisor.apply(settings, self.law)
         speed = of_joint['velocity_limits']
-        of_urdf = robot.velocity_limits[self._index]
+        of_urdf = robot.velocity_limits[self.index]
         self.motion_limits.configure(
             np.where(speed < 0.0, of_urdf, np.where(speed == 0.0, math.inf, speed)),
             settings.guiding_speed,
@@ -164,72 +188,121 @@ class Controller:
             self.stop_damping.end()
             self.blend()  # even after a brief stop, because the reference may have been dropped
 
-    def start(self) -> None:
-        """Start with zero efforts; the start ramp begins in the first step with a fresh state."""
+    def start(self, *, is_dry_run: bool = False) -> None:
+        """Start with zero efforts and without a reference; wait for a fresh joint state."""
+        self.dry_run = DryRun(is_active=is_dry_run)
+        self._restart()
+
+    def _restart(self) -> None:
+        self.reference = None
         self.supervisor.start()
         self.stop_damping.end()
         self.law.reset()
         self.shaper.reset()
         self.motion_limits.reset()
+        self.drive.reset()
 
     def limit_stop(self, reason: str) -> None:
         """Let the efforts fall to zero at once, and keep them at zero until `resume`."""
         self.stop_damping.end(reason if self.stop_damping.is_active else '')
         self.supervisor.stop_at_limit(reason)
 
-    def pass_time(self, now: float) -> float:
-        """Advance the clock of the ramps to ``now`` [s]; return the time step of the ramps [s]."""
-        clock = self.shaper.clock
-        if clock.advance(now):
+    @property
+    def has_to_stop(self) -> bool:
+        """Whether the robot last received a nonzero effort, or stop damping is active."""
+        is_damped = self.stop_damping.is_active and not self.dry_run.is_active
+        return self.dry_run.has_effort or is_damped
+
+    def switch_dry_run(self, *, is_wanted: bool) -> bool:
+        """
+        Start or end a dry run; return whether anything changed.
+
+        A dry run does not end before the efforts sent to the robot have fallen to zero.
+
+        """
+        dry_run = self.dry_run
+        if is_wanted is dry_run.is_active or (dry_run.has_effort and not is_wanted):
+            return False
+        if is_wanted:
+            dry_run.begin(self.shaper.time_to_fall)
+            return True
+        was_stopping, reason = self.is_stopping, self.supervisor.limit_stop
+        self._restart()
+        if reason:
+            self.limit_stop(reason)
+        if was_stopping:
+            self.stop()
+        dry_run.end()
+        return True
+
+    def step(self, now: float) -> Command | None:
+        """
+        Compute the command at time ``now`` [s]; return None while inputs are `missing`.
+
+        ``now`` is measured by the same clock as the times of joint states and references.
+
+        """
+        law, shaper, is_live = self.law, self.shaper, not self.dry_run.is_active
+        self._pass_time(now)
+        state, events = self._inputs(now, is_live)
+        phase = self.supervisor.decide(now, state, self.reference, shaper.gain, is_live=is_live)
+        if phase is Phase.WAITING:
+            shaper.clock.start()
+            return None
+        report = ''
+        if phase not in COMPUTING_PHASES:
+            law.forget()
+            report = self._fall(now, state)
+        elif not self._follow(now, state, self.reference if phase is Phase.RUNNING else None):
+            self.supervisor.fail()
+            report = self._fall(now, state)
+        sent = self.dry_run.select(shaper.command, shaper.clock.step)
+        if sent is self._result.sent and not report and not events.lost_velocities:
+            return self._result
+        return self._result._replace(
+            sent=sent, end_of_damping=report, lost_velocities=events.lost_velocities
+        )
+
+    def _pass_time(self, now: float) -> None:
+        """Advance the ramps; after an interruption, begin a blend."""
+        if self.shaper.clock.advance(now):
             self.blend()
             # Old messages may arrive together, which show no motion.
             self.motion_limits.reset()
             self.stop_damping.fall()
-        return clock.step
 
-    def command(
-        self,
-        now: float,
-        state: State | None,
-        reference: Reference | None,
-        *,
-        is_live: bool = True,
-    ) -> Command | None:
-        """
-        Compute the next command; return None before the first complete, fresh joint state.
-
-        Call `pass_time` first. ``now`` is the time [s], measured by the same clock as the times of
-        ``state`` and ``reference``. ``state`` is the latest joint state, and ``reference`` is the
-        latest reference. Pass None for a state or reference that has not arrived. Unless
-        ``is_live``, the commands are not sent, and the motion limits only report.
-
-        """
-        law, shaper, settings = self.law, self.shaper, self.settings
-        if not shaper.continues:
-            law.release()
-        if state is not None and 0.0 <= now - state.time <= settings.state_timeout:
+    def _inputs(self, now: float, is_live: bool) -> tuple[State | None, Events]:
+        """Return the joint state, and bridge all changes of the inputs that are no motion."""
+        state, events = self.collector.at(now)
+        if self.loads.update(now):
+            self.blend_model()
+        if events.has_changed:
+            self.blend()
+        if self.reference is not None and self.reference.time > now:
+            # The clock was set back. Otherwise, the old reference would be followed again later.
+            self.reference = None
+        if self.lacks_imu:
+            state = None
+        if not self.shaper.continues:
+            self.law.release()
+        if state is not None and 0.0 <= now - state.time <= self.settings.state_timeout:
             self._observe(now, state, is_live)
-        phase = self.supervisor.decide(now, state, reference, shaper.gain, is_live=is_live)
-        if phase is Phase.WAITING:
-            shaper.clock.start()
-            return None
-        if phase in COMPUTING_PHASES:
-            assert state is not None
-            followed = reference if phase is Phase.RUNNING else None
-            tau = law.efforts(now, state, followed)
-            if tau is not None:
-                added = self.motion_limits.restrain(
-                    state, tau, law.added, shaper.clock.step, is_following=followed is not None
-                )
-                if shaper.follow(tau, added):
-                    return self._result
-            self.supervisor.fail()
-        else:
-            law.forget()
-        return self._fall(now, state)
+        return state, events
 
-    def _fall(self, now: float, state: State | None) -> Command:
-        """Let the efforts fall, or hold them, as the phase requires."""
+    def _follow(self, now: float, state: State | None, reference: Reference | None) -> bool:
+        """Command the efforts of the law; return False if they are not finite."""
+        assert state is not None
+        tau = self.law.efforts(now, state, reference)
+        if tau is None:
+            return False
+        is_following, step = reference is not None, self.shaper.clock.step
+        added = self.motion_limits.restrain(
+            state, tau, self.law.added, step, is_following=is_following
+        )
+        return self.shaper.follow(tau, added)
+
+    def _fall(self, now: float, state: State | None) -> str:
+        """Let the efforts fall, or hold them; return why the stop damping has ended, if it has."""
         phase, shaper, damping = self.phase, self.shaper, self.stop_damping
         if phase is Phase.LIMIT_STOP:
             shaper.fall(within=LIMIT_RAMP)
@@ -240,8 +313,7 @@ class Controller:
             shaper.fall()
         else:
             shaper.hold()
-        report = damping.take_report()
-        return self._result._replace(end_of_damping=report) if report else self._result
+        return damping.take_report()
 
     def _observe(self, now: float, state: State, is_live: bool) -> None:
         """
@@ -265,119 +337,6 @@ class Controller:
         elif phase in COMPUTING_PHASES or self.stop_damping.is_active:
             self.limit_stop(seen.text)
 
-
-class ControlLoop:
-    """
-    Connects the joint states, external loads, dynamics and controller of one robot.
-
-    ``joints`` lists the m joints to command, in the order of the commands. An empty list means all
-    joints. ``settings`` apply to the controller and to the external loads. ``period`` is the time
-    between steps [s]; 0 if each joint state triggers a step. ``gravity`` is the free-fall
-    acceleration in the frame of the base link [m/s^2]; see `ExternalLoads`. ``locked`` contains
-    the positions of locked joints; see `JointStateCollector`. Locked joints cannot be commanded.
-    If ``has_imu`` is true, there are no commands before the first message about the motion of the
-    base. A ConfigurationError is raised if an argument does not fit the robot.
-
-    """
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        joints: Sequence[str] = (),
-        settings: Settings | None = None,
-        period: float = 0.0,
-        gravity: ArrayLike = STANDARD_GRAVITY,
-        base_link: str = '',
-        locked: Mapping[str, float] | None = None,
-        has_imu: bool = False,
-    ) -> None:
-        self.robot = robot
-        self.description = ''
-        """The URDF as XML text, if known."""
-        self.is_outdated = False
-        """Whether another robot description has arrived that the loop does not use."""
-        self.base_link = base_link or robot.body_names[0]
-        self.dynamics = InverseDynamics(robot)
-        self.controller = Controller(self.dynamics, joints, settings, period)
-        commanded = self.controller.joints
-        self.collector = JointStateCollector(robot.joint_names, locked, commanded)
-        self.loads = ExternalLoads(self.dynamics, settings, gravity, base_link)
-        self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
-        self.measured_gravity = MeasuredGravity.AS_COMMANDED
-        self.reference: Reference | None = None
-        self.has_imu = has_imu
-        self.index = robot.joint_indices(self.controller.joints)
-        self.drive = DriveReference()
-        self.dry_run = DryRun()
-        """Selects the efforts to send, also while no dry run is active."""
-        self.apply(self.controller.settings)
-
-    def apply(self, settings: Settings) -> None:
-        """Change the settings; see `Controller.apply`."""
-        self.controller.apply(settings)
-        self.loads.settings = settings
-        # Less than the state timeout, so that messages without velocities do not stop the arm.
-        self.collector.velocity_timeout = 0.5 * settings.state_timeout
-
-    def start(self, *, is_dry_run: bool = False) -> None:
-        """Start with zero efforts and without a reference."""
-        self.reference = None
-        self.drive.reset()
-        self.controller.start()
-        self.dry_run = DryRun(is_active=is_dry_run)
-
-    @property
-    def has_to_stop(self) -> bool:
-        """Whether the robot last received a nonzero effort, or stop damping is active."""
-        is_damped = self.controller.stop_damping.is_active and not self.dry_run.is_active
-        return self.dry_run.has_effort or is_damped
-
-    def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """
-        Start or end a dry run; return whether anything changed.
-
-        A dry run does not end before the efforts sent to the robot have fallen to zero.
-
-        """
-        dry_run, controller = self.dry_run, self.controller
-        if is_wanted is dry_run.is_active or (dry_run.has_effort and not is_wanted):
-            return False
-        if is_wanted:
-            dry_run.begin(controller.shaper.time_to_fall)
-            return True
-        was_stopping, self.reference = controller.is_stopping, None
-        reason = controller.supervisor.limit_stop
-        controller.start()
-        if reason:
-            controller.limit_stop(reason)
-        if was_stopping:
-            controller.stop()
-        dry_run.end()
-        return True
-
-    def step(self, now: float) -> Command | None:
-        """Compute the command at time ``now`` [s]; return None while inputs are `missing`."""
-        controller, reference = self.controller, self.reference
-        elapsed = controller.pass_time(now)
-        state, events = self.collector.at(now)
-        if self.loads.update(now):
-            controller.blend_model()
-        if events.has_changed:
-            controller.blend()
-        if reference is not None and reference.time > now:
-            # The clock was set back. Otherwise, the old reference would be followed again later.
-            reference = self.reference = None
-        if self.lacks_imu:
-            state = None
-        is_live = not self.dry_run.is_active
-        command = controller.command(now, state, reference, is_live=is_live)
-        if command is None:
-            return None
-        sent = self.dry_run.select(command.efforts, elapsed)
-        if sent is not command.sent or events.lost_velocities:
-            command = command._replace(sent=sent, lost_velocities=events.lost_velocities)
-        return command
-
     def missing(
         self, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
     ) -> list[str]:
@@ -394,20 +353,19 @@ class ControlLoop:
         hint = f' (received similar names: {similar})' if similar else ''
         missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
         if now is not None and not missing:
-            joints = self.collector.stale(now, self.controller.settings.state_timeout)
+            joints = self.collector.stale(now, self.settings.state_timeout)
             if joints:
                 missing = [f'new joint states of {", ".join(joints)} on {states}']
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
     def drive_reference(self) -> tuple[Floats, Floats]:
         """Return positions and velocities to send with the last command; see `DriveReference`."""
-        controller, collector = self.controller, self.collector
-        settings, phase = controller.settings, controller.phase
+        settings, phase = self.settings, self.phase
         return self.drive.motion(
-            controller.law,
-            collector.q[self.index],
-            collector.qd[self.index],
-            controller.shaper.clock.step,
+            self.law,
+            self.collector.q[self.index],
+            self.collector.qd[self.index],
+            self.shaper.clock.step,
             settings.start_ramp,
             LIMIT_RAMP if phase is Phase.LIMIT_STOP else settings.stop_ramp,
             settings.max_tracking_error,
@@ -431,3 +389,8 @@ class ControlLoop:
     def lacks_imu(self) -> bool:
         """Whether the base has an IMU that has not sent any message yet."""
         return self.has_imu and self.loads.imu_time == -math.inf
+
+    @property
+    def controller(self) -> ControlLoop:
+        """The loop itself."""
+        return self

@@ -21,7 +21,7 @@ def efforts(dynamics, q, qd, reference=None, before=None, **settings):
     controller = UnobservedController(dynamics, (), Settings(**NO_LIMITS, **settings))
     if before is not None:
         controller.step(0.0, joint_state(before, np.zeros(len(q)), 0.0), None)
-        controller.motion_limits = MotionLimits(dynamics, controller._index)  # no jump to `q`
+        controller.motion_limits = MotionLimits(dynamics, controller.index)  # no jump to `q`
     found = controller.step(0.01, joint_state(q, qd, 0.01), reference).efforts.copy()
     assert controller.phase is not Phase.NO_SOLUTION
     return found
