@@ -94,9 +94,9 @@ class Promises:
 
     def stop(self):
         """Note a stop: its damping has the settings and limits of this moment."""
-        if self.node.loop.controller.phase in COMPUTING_PHASES:
+        if self.node.loop.phase in COMPUTING_PHASES:
             self.stopped_with = self.node.settings
-            self.stop_limits = self.node.loop.controller.limits
+            self.stop_limits = self.node.loop.limits
 
     def _efforts(self, q, inputs):
         """Return the efforts at some positions, with the other inputs of a command."""
@@ -130,26 +130,26 @@ class Promises:
             self.time = now
             return
         self.count += 1
-        efforts, controller = command.efforts.copy(), self.node.loop.controller
+        efforts, loop = command.efforts.copy(), self.node.loop
         passed = 0.0 if self.time is None else now - self.time
         self.time = now
         step = self._advance(passed)
         require(np.isfinite(efforts).all(), 'not finite', efforts)
-        if (controller.limits != self.limits).any():
+        if (loop.limits != self.limits).any():
             # The bound falls to a tightened limit; below it, efforts follow the motion.
-            self.limits, self.ceiling = controller.limits, np.abs(self.last)
+            self.limits, self.ceiling = loop.limits, np.abs(self.last)
             if self.fall_time is not None:
                 self.ceiling = np.maximum(self.ceiling, np.abs(self.left))
         bound = np.maximum(self.limits, self.ceiling)
-        if self.stopped_with is not None and controller.phase is Phase.STOPPED:
+        if self.stopped_with is not None and loop.phase is Phase.STOPPED:
             bound = np.maximum(bound, self.stop_limits)  # of damping, until the next stop
             self.ceiling = np.maximum(np.abs(efforts), np.abs(self.left))
         require((np.abs(efforts) <= bound + ROUNDING).all(), 'beyond the limits', efforts, bound)
         settings = self.node.settings
-        if controller.phase in COMPUTING_PHASES:
+        if loop.phase in COMPUTING_PHASES:
             self._check_computed(now, efforts, step)
         elif (
-            controller.phase in (Phase.STOPPED, Phase.LIMIT_STOP)
+            loop.phase in (Phase.STOPPED, Phase.LIMIT_STOP)
             or settings.on_stale_state is StalePolicy.ZERO
         ):
             self._check_fall(now, efforts, passed, step)
@@ -160,7 +160,7 @@ class Promises:
             self._check_shrinking(efforts, last)
         if sent is not None or self.last_sent is not None:
             self._check_sent(efforts, sent, passed, step)
-        self.was_limited = controller.phase is Phase.LIMIT_STOP
+        self.was_limited = loop.phase is Phase.LIMIT_STOP
         self.last = efforts
         self.last_sent = None if sent is None else sent.copy()
 
@@ -182,7 +182,7 @@ class Promises:
         return step
 
     def _check_fall(self, now, efforts, passed, step):
-        is_limited = self.node.loop.controller.phase is Phase.LIMIT_STOP
+        is_limited = self.node.loop.phase is Phase.LIMIT_STOP
         if is_limited and not self.was_limited and self.fall_time is not None:
             is_damped = (np.abs(self.last - self.left) > 0.0).any()
             if is_damped or self.fall_time - self.ramp_passed > LIMIT_RAMP:
@@ -197,7 +197,7 @@ class Promises:
             require((change <= ROUNDING).all(), 'a fall begins with a step', change)
         else:
             self.fallen += min(max(0.0, passed), self.base)
-            advanced = self.node.loop.controller.shaper.clock.step
+            advanced = self.node.loop.shaper.clock.step
             self.ramp_passed += advanced
             require(advanced <= step + 1e-9, 'a fall catches up', advanced, step)
         left = 1.0 - self.ramp_passed / self.fall_time if self.fall_time else 0.0
@@ -212,7 +212,7 @@ class Promises:
         is_fresh = (
             settings is not None and 0.0 <= now - loop.collector.time <= settings.state_timeout
         )
-        if not is_fresh or loop.controller.phase is not Phase.STOPPED:
+        if not is_fresh or loop.phase is not Phase.STOPPED:
             self.stopped_with = settings = None  # for the rest of this stop
         if self.settling:
             self.stopped_at = loop.collector.q.copy()  # old messages show no motion
@@ -247,9 +247,9 @@ class Promises:
     def _check_computed(self, now, efforts, step):
         was_falling, self.fall_time = self.fall_time is not None, None
         loop = self.node.loop
-        law, collector = loop.controller.law, loop.collector
+        law, collector = loop.law, loop.collector
         velocities, accelerations = law.velocities.copy(), law._qdd.copy()
-        is_followed = loop.controller.phase is Phase.RUNNING
+        is_followed = loop.phase is Phase.RUNNING
         followed = loop.reference if is_followed else Reference(None, None, now)
         new = Computed(
             now,

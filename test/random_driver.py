@@ -251,7 +251,7 @@ class Sequence:
 
     def stop(self):
         self.promises.stop()
-        self.node.loop.controller.stop()
+        self.node.loop.stop()
         self.node.loop.reference = self.acceleration = None
 
     def stop_and_sink(self):
@@ -263,7 +263,7 @@ class Sequence:
         self.lose_states()
 
     def resume(self):
-        self.node.loop.controller.resume()
+        self.node.loop.resume()
 
     def toggle_dry_run(self):
         self.node.is_dry_run = not self.node.is_dry_run

@@ -113,7 +113,7 @@ class Runaway:
 
     def run(self):
         """Play the arm; return it."""
-        loop, hardware, controller = self.loop, self.hardware, self.loop.controller
+        loop, hardware = self.loop, self.hardware
         applied, beyond, states = np.zeros(len(self.index)), np.zeros(len(self.index)), []
         for k in range(round(DURATION / PERIOD)):
             now, q, qd = k * PERIOD, hardware.positions(), hardware.velocities()
@@ -129,8 +129,8 @@ class Runaway:
             if now >= BEGIN:
                 self._act(now)
             efforts = loop.step(now).efforts
-            if controller.supervisor.limit_stop and not self.reason:
-                self.reason, self.time_of_stop = controller.supervisor.limit_stop, now
+            if loop.supervisor.limit_stop and not self.reason:
+                self.reason, self.time_of_stop = loop.supervisor.limit_stop, now
                 self.travel = np.abs(q - self.start)[self.index].max()
             limits = self.robot.effort_limits[self.index]
             applied = np.clip((self.factor * efforts)[self.order], -limits, limits)
@@ -145,8 +145,8 @@ class Runaway:
 
     def _act(self, now):
         """Begin the soft stop, or continue the reference: a sine that begins smoothly."""
-        if self.mode == 'soft_stop' and not self.loop.controller.is_stopping:
-            self.loop.controller.stop()
+        if self.mode == 'soft_stop' and not self.loop.is_stopping:
+            self.loop.stop()
         if self.mode not in ('computed_torque', 'joint_impedance') or self.reason:
             return
         rate, passed = np.pi, now - BEGIN

@@ -86,8 +86,8 @@ class SoftStop:
                 store_state(
                     loop.collector, self.time, robot.joint_names, q, self.sign * late + noise
                 )
-            if self.time >= STOP and not loop.controller.is_stopping:
-                loop.controller.stop()
+            if self.time >= STOP and not loop.is_stopping:
+                loop.stop()
             command = loop.step(self.time)
             self.commands.append(command.efforts.copy())
             if command.end_of_damping:

@@ -283,9 +283,10 @@ class JointStateCollector:
                 )
             )
         for name, position in locked.items():
-            if not math.isfinite(position):
+            if not abs(position) <= LARGEST:  # also false for NaN
                 raise ConfigurationError(
-                    f"locked position of joint '{name}' is {position}, expected a finite number"
+                    f"locked position of joint '{name}' is {position}, expected a number of at "
+                    f'most {LARGEST:g}'
                 )
             self.q[self._index[name]] = position
             self.times[self._index[name]] = LONG_AGO

@@ -389,8 +389,3 @@ class ControlLoop:
     def lacks_imu(self) -> bool:
         """Whether the base has an IMU that has not sent any message yet."""
         return self.has_imu and self.loads.imu_time == -math.inf
-
-    @property
-    def controller(self) -> ControlLoop:
-        """The loop itself."""
-        return self

@@ -19,7 +19,6 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.jit import compile_for, compiled
-from ..errors import JointStateError
 from ..robot.model import Floats
 from .joint_states import State
 
@@ -206,10 +205,7 @@ class MotionLimits:
         depth[self._stiffness == 0.0] = 0.0
         if not depth.any():
             return self._none
-        try:
-            inertia = self._dynamics.mass_matrix(state.q).diagonal()[self._index]
-        except JointStateError:
-            return self._none
+        inertia = self._dynamics.mass_matrix(state.q).diagonal()[self._index]
         damping = 2.0 * np.sqrt(self._stiffness * inertia)
         side = np.sign(depth)
         pushing: Floats = -side * np.maximum(0.0, side * (self._stiffness * depth + damping * qd))

@@ -21,7 +21,7 @@ _TURN_ERROR = 0.05  # [turns]; of a position that is whole turns away from its r
 
 def activity(now: float, loop: ControlLoop) -> str:
     """Describe what the active control loop does and why; ``now`` is in [s]."""
-    phase, settings = loop.controller.phase, loop.controller.settings
+    phase, settings = loop.phase, loop.settings
     doing = phase.value.partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
         doing += f': {_reason_for_no_reference(loop)}'
@@ -32,7 +32,7 @@ def activity(now: float, loop: ControlLoop) -> str:
             f'{_full_turns(loop)}'
         )
     elif phase is Phase.LIMIT_STOP:
-        doing = f'stopped: {loop.controller.supervisor.limit_stop}'
+        doing = f'stopped: {loop.supervisor.limit_stop}'
     elif phase not in (Phase.RUNNING, Phase.WAITING):
         doing = f'{_consequence(loop)}: {_reason_to_stop(now, loop)}'
     return f'dry run: {doing}' if loop.dry_run.is_active else doing
@@ -46,24 +46,21 @@ def _full_turns(loop: ControlLoop) -> str:
     turns = (reference.positions - loop.collector.q[loop.index]) / (2.0 * math.pi)
     is_whole = (np.abs(turns - np.round(turns)) < _TURN_ERROR) & (np.abs(turns) > 0.5)
     is_whole &= ~(robot.is_prismatic_joint | robot.is_continuous)[loop.index]
-    names = [
-        joint for joint, is_turn in zip(loop.controller.joints, is_whole, strict=True) if is_turn
-    ]
+    names = [joint for joint, is_turn in zip(loop.joints, is_whole, strict=True) if is_turn]
     return f'; whole turns away: {", ".join(names)}' if names else ''
 
 
 def _consequence(loop: ControlLoop) -> str:
-    controller = loop.controller
-    if not controller.has_effort:
+    if not loop.has_effort:
         return 'stopped' if loop.dry_run.is_active else 'stopped, zeros sent'
-    is_stopped = controller.phase is Phase.STOPPED
-    if is_stopped or controller.settings.on_stale_state is StalePolicy.ZERO:
+    is_stopped = loop.phase is Phase.STOPPED
+    if is_stopped or loop.settings.on_stale_state is StalePolicy.ZERO:
         return 'ramping efforts down'
     return 'keeping the last efforts'
 
 
 def _reason_for_no_reference(loop: ControlLoop) -> str:
-    settings = loop.controller.settings
+    settings = loop.settings
     if settings.mode is Mode.GRAVITY_COMPENSATION:
         return 'the reference is not used in mode gravity_compensation'
     if loop.reference is None:
@@ -72,11 +69,11 @@ def _reason_for_no_reference(loop: ControlLoop) -> str:
 
 
 def _reason_to_stop(now: float, loop: ControlLoop) -> str:
-    if loop.controller.phase is Phase.STOPPED:
+    if loop.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
-    if loop.controller.phase is Phase.NO_SOLUTION:
-        return str(loop.controller.phase.value)
-    timeout = loop.controller.settings.state_timeout
+    if loop.phase is Phase.NO_SOLUTION:
+        return str(loop.phase.value)
+    timeout = loop.settings.state_timeout
     joints = ', '.join(loop.collector.stale(now, timeout))
     if joints:
         return f'no joint state of {joints} for more than {timeout:g} s'
@@ -93,15 +90,15 @@ def describe_lost_imu(now: float, loop: ControlLoop) -> str:
 
 def describe_lost_states(now: float, loop: ControlLoop) -> str:
     """Describe a loss of joint states, or how it ends; return '' if they are not lost."""
-    stale = loop.collector.stale(now, loop.controller.settings.state_timeout)
+    stale = loop.collector.stale(now, loop.settings.state_timeout)
     if stale:
         return f'joint states are lost: {", ".join(stale)}'
-    return _recovery(loop) if loop.controller.phase is Phase.STATE_LOST else ''
+    return _recovery(loop) if loop.phase is Phase.STATE_LOST else ''
 
 
 def _recovery(loop: ControlLoop) -> str:
     """Describe when efforts rise again after a loss of joint states."""
-    timeout = loop.controller.settings.state_timeout
+    timeout = loop.settings.state_timeout
     return (
         'joint states were lost or contradictory; efforts rise again after joint states have '
         f'arrived for {recovery_time(timeout):g} s without a gap longer than state_timeout '
@@ -145,7 +142,7 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
 
 def describe_motion(now: float, loop: ControlLoop) -> str:
     """Describe what would have stopped the arm if the commands had been sent, or return ''."""
-    text, time = loop.controller.motion_problem
+    text, time = loop.motion_problem
     if not loop.dry_run.is_active or not 0.0 <= now - time <= _RECENT:
         return ''
     return f'the motion limits would stop the arm: {text}'
@@ -162,10 +159,10 @@ def describe_unstable_gains(loop: ControlLoop) -> str:
     names = {
         Mode.COMPUTED_TORQUE: ('kd', 'kp'),
         Mode.JOINT_IMPEDANCE: ('impedance_damping', 'stiffness'),
-    }.get(loop.controller.settings.mode)
+    }.get(loop.settings.mode)
     if names is None:
         return ''
-    gains, inertia = loop.controller.of_joint, np.ones(len(loop.index))
+    gains, inertia = loop.of_joint, np.ones(len(loop.index))
     with_inertia, advice = '', ['lower these gains']
     if names[0] == 'impedance_damping':
         inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
@@ -177,7 +174,7 @@ def describe_unstable_gains(loop: ControlLoop) -> str:
         f'{joint} may oscillate: with {with_inertia.format(inertia[k])}a delay of '
         f'{1e3 * _DELAY:g} ms, {names[0]} should be at most {damping[k]:.2g} and {names[1]} '
         f'at most {stiffness[k]:.2g}'
-        for k, joint in enumerate(loop.controller.joints)
+        for k, joint in enumerate(loop.joints)
         if is_unstable[k]
     ]
     return '; '.join(texts + advice * bool(texts))

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
-from ..errors import JointStateError
 from ..robot.model import Floats
 from .joint_states import State
 from .settings import Settings
@@ -161,10 +160,7 @@ class StopDamping:
     def _damp(self, state: State, rate: float) -> Floats:
         # A joint with a scale of zero cannot be damped, and must not affect other joints.
         qd = np.where(self._scale == 0.0, 0.0, self._qd)
-        try:
-            mass_matrix = self._dynamics.mass_matrix(state.q)[np.ix_(self._index, self._index)]
-        except JointStateError:
-            return np.zeros(len(qd))
+        mass_matrix = self._dynamics.mass_matrix(state.q)[np.ix_(self._index, self._index)]
         with np.errstate(all='ignore'):
             efforts = -rate * (mass_matrix @ qd)
             is_damping = qd @ efforts <= 0.0  # also false for NaN

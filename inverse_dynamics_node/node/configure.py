@@ -54,11 +54,11 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapp
 
     Raise a ConfigurationError if the values do not fit the robot.
     """
-    of_joint = configuration.expanded(len(loop.controller.joints))
+    of_joint = configuration.expanded(len(loop.joints))
     is_turning = loop.robot.is_continuous[loop.index]
     for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
         raise ConfigurationError(
-            f"spring_stiffness of joint '{loop.controller.joints[k]}' is "
+            f"spring_stiffness of joint '{loop.joints[k]}' is "
             f'{of_joint["spring_stiffness"][k]:g}, expected 0: the reported position of a '
             'continuous joint may omit full turns'
         )

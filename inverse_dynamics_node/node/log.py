@@ -91,7 +91,7 @@ class NodeLog:
 
     def report_robot(self, loop: ControlLoop) -> None:
         """Report the loaded robot, and the warnings about its description."""
-        robot, joints = loop.robot, loop.controller.joints
+        robot, joints = loop.robot, loop.joints
         for warning in robot.warnings:
             self._write[Level.WARN](str(warning))
         others = [name for name in robot.joint_names if name not in joints]
@@ -119,9 +119,9 @@ class NodeLog:
 
     def report_activity(self, now: float, loop: ControlLoop) -> None:
         """Report what the loop does, if this has changed."""
-        phase = loop.controller.phase
+        phase = loop.phase
         # The end of a ramp down is reported, even though the phase does not change.
-        key = phase, phase in COMPUTING_PHASES or loop.controller.has_effort
+        key = phase, phase in COMPUTING_PHASES or loop.has_effort
         if key == self._last_activity:
             return
         if self._last_activity is None:

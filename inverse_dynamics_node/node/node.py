@@ -183,7 +183,7 @@ class InverseDynamicsNode(LifecycleNode):
         result = super().on_activate(state)
         if result == _SUCCESS:
             self._runner.start()
-        joints = ', '.join(self._runner.loop.controller.joints)
+        joints = ', '.join(self._runner.loop.joints)
         to = f'to {self._graph.with_subscribers()}'
         where = f'are sent {to}'
         if self.configuration.dry_run:

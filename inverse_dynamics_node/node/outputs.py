@@ -75,13 +75,13 @@ class Outputs:
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
             if self._joint_commands in self._subscribed:
-                joints, motion = loop.controller.joints, loop.drive_reference()
+                joints, motion = loop.joints, loop.drive_reference()
                 self._publish_efforts(self._joint_commands, joints, sent, *motion)
             else:
                 loop.drive.reset()  # the reference is ramped in for a later subscriber
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
-            self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
+            self._publish_efforts(self._joint_efforts, loop.joints, by_name)
 
     def describe_dry_run(self, to: str) -> str:
         """
@@ -96,7 +96,7 @@ class Outputs:
 
     def publish_zeros(self, loop: ControlLoop) -> None:
         """Publish zeros, and wait until reliable subscribers have acknowledged them."""
-        zeros = np.zeros(len(loop.controller.joints))
+        zeros = np.zeros(len(loop.joints))
         for _ in range(3):  # because best-effort subscribers do not acknowledge
             self.publish_command(loop, zeros, zeros)
         for publisher in (self.commands, self._joint_efforts, self._joint_commands):

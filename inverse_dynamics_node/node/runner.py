@@ -15,7 +15,7 @@ from rclpy.timer import Timer
 from ..control.loop import Command, ControlLoop
 from ..control.stop_damping import AT_REST
 from ..control.supervision import COMPUTING_PHASES
-from ..errors import JointStateError, listed, shortened_lines
+from ..errors import listed, shortened_lines
 from ..ros.graph import Graph
 from .configure import apply_configuration
 from .log import NodeLog
@@ -115,9 +115,9 @@ class LoopRunner:
         """Ramp the efforts up, or ramp the efforts down and drop the reference."""
         assert self.loop is not None
         if is_enabled:
-            self.loop.controller.resume()
+            self.loop.resume()
         else:
-            self.loop.controller.stop()
+            self.loop.stop()
             self.loop.reference = None
             self._watch_after(self._watch_period)
 
@@ -132,7 +132,7 @@ class LoopRunner:
             return
         self._publish(now, command)
         took = time.perf_counter() - began
-        self.monitor.step(now, took, command, self.loop.controller.joints)
+        self.monitor.step(now, took, command, self.loop.joints)
         self._report_damping(command.end_of_damping)
         self.log.report_activity(now, self.loop)
         if command.lost_velocities:
@@ -140,8 +140,8 @@ class LoopRunner:
             publishers = listed(self.graph.publishers('joint_states'))
             text = f'the velocities of {joints} are missing in new messages from {publishers}; '
             self.log.report_message('joint_states', f'{text}zero is used')
-        if self.loop.controller.phase in COMPUTING_PHASES:
-            self._publish_external_efforts(self.loop)
+        if self.loop.phase in COMPUTING_PHASES:
+            self.outputs.publish_external_efforts(self.loop)
 
     def _publish(self, now: float, command: Command) -> None:
         assert self.loop is not None
@@ -151,7 +151,7 @@ class LoopRunner:
     def _switch_dry_run(self, loop: ControlLoop) -> None:
         """Start or end a dry run as configured; it can only end while the commands are zero."""
         is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
-        time_to_fall = loop.controller.shaper.time_to_fall
+        time_to_fall = loop.shaper.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
             return
         if is_wanted and has_sent:
@@ -163,12 +163,6 @@ class LoopRunner:
             text = f'end of the dry run: efforts rise from zero and are sent to {to}'
         self._node.get_logger().info(text)
         self.log.begin()
-
-    def _publish_external_efforts(self, loop: ControlLoop) -> None:
-        try:
-            self.outputs.publish_external_efforts(loop)
-        except JointStateError as error:
-            self.log.report_message('~/external_efforts', str(error))
 
     def catch_up(self) -> None:
         """Do the work of the timers."""
@@ -213,9 +207,8 @@ class LoopRunner:
         assert self.loop is not None
         if self.loop.dry_run.is_active or self.configuration.dry_run:
             return self.loop.dry_run.has_sent
-        controller = self.loop.controller
-        is_computing = controller.phase in COMPUTING_PHASES and not controller.is_stopping
-        return not is_computing and controller.has_effort
+        is_computing = self.loop.phase in COMPUTING_PHASES and not self.loop.is_stopping
+        return not is_computing and self.loop.has_effort
 
     def _watch_after(self, wait: float) -> None:
         """Set the period of the watch timer to `wait` [s]."""
@@ -259,8 +252,8 @@ class LoopRunner:
         self._node.get_logger().info(f'stopped, zeros sent{for_a_while}: {reason}')
 
     def _follow_stop_ramp(self, loop: ControlLoop, read_joint_state: Callable[[], None]) -> None:
-        loop.controller.stop()
-        damping, period = loop.controller.stop_damping, self.configuration.period
+        loop.stop()
+        damping, period = loop.stop_damping, self.configuration.period
         while loop.has_to_stop and not self._skip_ramp():
             if damping.is_active:
                 time.sleep(min(period or _POLL_PERIOD, self._watch_period))

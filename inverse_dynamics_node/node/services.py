@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from ..control.loop import ControlLoop
-from ..errors import JointStateError, shortened
+from ..errors import shortened
 from ..report.robot_tables import model_report
 from ..robot.model import Floats
 from .ros_parameters import unknown_parameters
@@ -57,14 +57,11 @@ def describe_robot(loop: ControlLoop) -> str:
     if missing:
         waiting = f'waiting for {", ".join(missing)}'
         return f'{_report(loop, None)}\n\nThe holding efforts are not known yet: {waiting}.'
-    try:
-        return _report(loop, loop.collector.q)
-    except JointStateError as error:
-        return f'{_report(loop, None)}\n\nThe holding efforts are not known: {error}.'
+    return _report(loop, loop.collector.q)
 
 
 def _report(loop: ControlLoop, q: Floats | None) -> str:
-    return model_report(loop.dynamics, loop.controller.joints, q, loop.controller.limits)
+    return model_report(loop.dynamics, loop.joints, q, loop.limits)
 
 
 def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:

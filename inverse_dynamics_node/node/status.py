@@ -77,9 +77,7 @@ def describe_node(
     if around.clock is not None:
         status['clock'] = _clock(around.clock)
     if loop is not None:
-        missing = loop.missing(
-            *around.inputs, now if loop.controller.phase is Phase.WAITING else None
-        )
+        missing = loop.missing(*around.inputs, now if loop.phase is Phase.WAITING else None)
         missing = [f'no command yet: waiting for {each}' for each in missing]
         imu = missing.pop() if loop.lacks_imu else describe_lost_imu(now, loop)
         status['joint states'] = _joint_states(now, loop, around, '; '.join(missing))
@@ -120,12 +118,12 @@ def _loop(now: float, loop: ControlLoop | None, around: Surroundings, monitor: M
     }
     if loop is None or not around.is_active:
         return _part(around.state, values)
-    phase, doing = loop.controller.phase, activity(now, loop)
+    phase, doing = loop.phase, activity(now, loop)
     values |= {
-        'mode': loop.controller.settings.mode.value,
+        'mode': loop.settings.mode.value,
         'phase': phase.value,
         'dry run': loop.dry_run.is_active,
-        'gain': loop.controller.shaper.gain,
+        'gain': loop.shaper.gain,
     }
     is_stopped = phase in (Phase.LIMIT_STOP, Phase.NO_SOLUTION)
     is_slow = 0.0 < rate * period < _SLOW
@@ -200,7 +198,7 @@ def _clock(clock: SimulatedClock) -> Part:
 
 
 def _joint_states(now: float, loop: ControlLoop, around: Surroundings, missing: str) -> Part:
-    collector, settings = loop.collector, loop.controller.settings
+    collector, settings = loop.collector, loop.settings
     if_lost = Level.ERROR if around.is_active else Level.WARN
     unseen, without_velocity = collector.unseen(), collector.without_velocity()
     has_feedback = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
@@ -243,27 +241,26 @@ def _describe_silence(around: Surroundings) -> str:
 
 
 def _reference(now: float, loop: ControlLoop, around: Surroundings) -> Part:
-    controller = loop.controller
-    fine = 'followed' if controller.phase is Phase.RUNNING else 'no reference is used'
-    is_too_far = around.is_active and controller.phase in TOO_FAR_PHASES
+    fine = 'followed' if loop.phase is Phase.RUNNING else 'no reference is used'
+    is_too_far = around.is_active and loop.phase in TOO_FAR_PHASES
     return _part(
-        'disabled' if controller.is_stopping else fine,
+        'disabled' if loop.is_stopping else fine,
         {
             'age [s]': now - loop.reference.time if loop.reference else 'never',
-            'timeout [s]': controller.settings.reference_timeout,
-            'mode': controller.settings.mode.value,
+            'timeout [s]': loop.settings.reference_timeout,
+            'mode': loop.settings.mode.value,
         },
-        (Level.WARN, controller.phase.value if is_too_far else ''),
+        (Level.WARN, loop.phase.value if is_too_far else ''),
     )
 
 
 def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monitor) -> Part:
-    controller, unmatched, gains = loop.controller, '', ''
+    unmatched, gains = '', ''
     if around.is_active and not around.receivers and not loop.dry_run.is_active:
         unmatched, names = 'the commands have no subscribers', around.others.subscribers
         if names:
             unmatched += f' that match; another type or quality of service is used by {names}'
-    if around.is_active and controller.phase in COMPUTING_PHASES:
+    if around.is_active and loop.phase in COMPUTING_PHASES:
         gains = describe_unstable_gains(loop)
     return _part(
         activity(now, loop),
@@ -273,8 +270,8 @@ def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monit
             'topic of the external efforts': around.topics[2],
             'measured efforts contain gravity': loop.measures_gravity,
             'scale of the measured efforts': loop.external_effort_estimator.scale[loop.index],
-            'scale': controller.scale,
-            'limits [N m, N]': controller.limits,
+            'scale': loop.scale,
+            'limits [N m, N]': loop.limits,
             'cut to limit since the last report': monitor.cut,
             **{f'{joint} cut to limit': count for joint, count in monitor.cut_counts.items()},
             **{f'{joint} slowed': count for joint, count in monitor.slowed.items()},
@@ -294,7 +291,7 @@ def _model(loop: ControlLoop, imu: str) -> Part:
         {
             'robot': robot.name,
             'mass [kg]': float(np.sum(robot.mass)),
-            'joints': loop.controller.joints,
+            'joints': loop.joints,
             'payload': [f'{load.mass:g} kg on {link}' for link, load in loads.payloads.items()],
             'payload com [m]': [x for load in loads.payloads.values() for x in load.com],
             'gravity [m/s^2]': loads.gravity if loads.include_gravity else 'not included',

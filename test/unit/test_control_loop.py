@@ -66,12 +66,12 @@ def test_a_dry_run_ends_what_is_sent_and_its_end_lets_it_rise_from_zero():
     assert sent[24] == pytest.approx(0.5 * hold)
     assert not loop.dry_run.has_sent
     assert sent[-1] is None
-    assert loop.controller.shaper.gain == 1.0  # the computed efforts go on
-    loop.controller.stop()
+    assert loop.shaper.gain == 1.0  # the computed efforts go on
+    loop.stop()
     step(210)
     assert loop.switch_dry_run(is_wanted=False)
     assert not step(211).sent.any()  # it is still disabled
-    loop.controller.resume()
+    loop.resume()
     assert step(212).sent == pytest.approx(0.0 * hold)
     for k in range(25):
         command = step(213 + k)
@@ -83,7 +83,7 @@ def test_a_start_drops_the_earlier_reference():
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
     loop.start()
     loop.step(0.0)
-    assert loop.controller.phase is Phase.FLOATING
+    assert loop.phase is Phase.FLOATING
 
 
 def test_the_first_report_of_a_locked_joint_does_not_cause_a_jump():
@@ -146,18 +146,18 @@ def test_a_late_joint_keeps_its_position_but_not_its_velocity(locked, cutoff):
     # A fast wrist causes Coriolis efforts at the other joints.
     for k in range(5):
         step_with_slow_joint(loop, 1e9, 0.11, 30.0, 0.1 * k)
-    moving = loop.controller.law.velocities[5]
+    moving = loop.law.velocities[5]
     assert moving > 10.0
     store_state(loop.collector, 1.3, NAMES[:5], Q[:5], np.zeros(5))
     loop.step(1.3)
-    assert loop.controller.law.velocities[5] == moving
+    assert loop.law.velocities[5] == moving
     store_state(loop.collector, 1.6, NAMES[:5], Q[:5], np.zeros(5))
     efforts = loop.step(1.6).efforts
-    assert loop.controller.law.velocities[5] == 0.0
+    assert loop.law.velocities[5] == 0.0
     assert efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q)[:5])
     store_state(loop.collector, 1.7, NAMES[5:], Q[5:], [2.0])
     loop.step(1.7)
-    assert loop.controller.law.velocities[5] == 2.0
+    assert loop.law.velocities[5] == 2.0
 
 
 def test_a_late_joint_that_has_moved_does_not_cause_a_jump():
@@ -211,7 +211,7 @@ def test_contradictory_positions_of_a_commanded_joint_stop_the_arm():
     is_changing = np.abs(np.diff(efforts[:, 1])) > 1.0
     assert np.count_nonzero(is_changing) <= 6
     assert (efforts[20:] == 0.0).all()
-    reason = loop.controller.supervisor.limit_stop
+    reason = loop.supervisor.limit_stop
     assert reason.startswith(f'{NAMES[1]} jumps to and fro by 0.7 rad: ')
 
 
@@ -222,7 +222,7 @@ def test_contradictory_positions_of_another_joint_do_not_stop_the_arm():
     largest = np.abs(efforts).max()
     assert largest > 1.0
     assert np.abs(np.diff(efforts, axis=0)).max() <= 2.0 * largest * 0.005 / 0.5
-    assert loop.controller.phase is Phase.FLOATING
+    assert loop.phase is Phase.FLOATING
 
 
 def test_a_joint_cannot_be_both_commanded_and_locked():
@@ -341,7 +341,7 @@ def test_states_without_velocities_are_used_again_before_the_state_is_lost():
         command = loop.step(now)
         lost += command.lost_velocities
         assert command.efforts.any()
-        assert loop.controller.phase is Phase.FLOATING
+        assert loop.phase is Phase.FLOATING
     assert lost == NAMES
 
 
@@ -387,7 +387,7 @@ def test_a_full_turn_of_a_joint_that_is_not_continuous_is_a_limit_stop():
     efforts = np.vstack([last, play_arm(loop, now + 1.0, 0.5, turned)])
     assert (np.diff(np.abs(efforts), axis=0) <= 0.0).all()
     assert not efforts[-1].any()
-    assert 'jumped by 6.28 rad' in loop.controller.supervisor.limit_stop
+    assert 'jumped by 6.28 rad' in loop.supervisor.limit_stop
 
 
 def pushed(loop, now, force):

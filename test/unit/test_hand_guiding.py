@@ -113,7 +113,7 @@ def test_velocities_that_are_no_longer_reported_end_the_compensation(cutoff):
         efforts = loop.step(now).efforts.copy()
         if k == 99:
             assert efforts == pytest.approx(HOLD + 0.8 * FRICTION)
-    assert loop.controller.phase is Phase.FLOATING
+    assert loop.phase is Phase.FLOATING
     assert efforts == pytest.approx(HOLD)
 
 

@@ -82,7 +82,7 @@ def test_an_ignored_reference_is_not_sent():
 
 
 def begin_stop(arm):
-    arm.loop.controller.stop()
+    arm.loop.stop()
     return {}
 
 
@@ -142,8 +142,8 @@ def test_the_drive_is_led_to_the_reference_again_after_a_start_and_a_stop(cause)
     if cause == 'start':
         arm.loop.start()
     else:
-        arm.loop.controller.stop()
+        arm.loop.stop()
         arm.play(0.6)
-        arm.loop.controller.resume()
+        arm.loop.resume()
     positions = follow(arm, PERIOD)
     assert np.abs(positions - Q).max() <= 0.1 * PERIOD / 0.1 + 1e-12

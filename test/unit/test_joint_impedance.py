@@ -365,5 +365,5 @@ def test_a_leap_of_a_joint_that_is_not_commanded_does_not_move_the_equilibrium()
         leapt[joint] += 2.0
         store_state(loop.collector, 0.005, NAMES, leapt, REST)
         loop.step(0.005)
-        held = loop.controller.law.equilibrium
+        held = loop.law.equilibrium
         assert held == pytest.approx(leapt[:1] if moves else Q[:1])

@@ -50,7 +50,7 @@ class Arm:
 
     @property
     def reason(self):
-        return self.loop.controller.supervisor.limit_stop
+        return self.loop.supervisor.limit_stop
 
 
 def test_a_joint_that_is_too_fast_stops_the_arm_and_is_named():
@@ -58,7 +58,7 @@ def test_a_joint_that_is_too_fast_stops_the_arm_and_is_named():
     before = arm.follow((0.3, 0.0), 0.1)[-1]
     assert np.abs(before).max() > 1.0
     after = arm.follow((0.3, -1.3 * SPEED[1]), 0.05)
-    assert arm.loop.controller.phase is Phase.LIMIT_STOP
+    assert arm.loop.phase is Phase.LIMIT_STOP
     speed, limit = f'{1.3 * SPEED[1]:.3g}', f'{SPEED[1]:.3g}'
     assert arm.reason == f'{NAMES[1]} moved at {speed} rad/s, limit {limit} rad/s'
     assert not after[-1].any()
@@ -71,7 +71,7 @@ def test_a_stop_lasts_until_the_node_is_enabled_and_then_efforts_rise():
     arm.move((2.2 * SPEED[0], 0.0), 0.05)
     assert arm.reason
     assert not arm.move((0.0, 0.0), 1.0)[20:].any()
-    arm.loop.controller.resume()
+    arm.loop.resume()
     rising = arm.move((0.0, 0.0), 0.3)
     assert not arm.reason
     assert rising[-1] == pytest.approx(InverseDynamics(ROBOT).gravity_efforts(arm.q))
@@ -171,10 +171,10 @@ def test_velocities_that_contradict_positions_are_named(reported, is_dry_run):
         arm.loop.start(is_dry_run=True)
     speed = 0.4
     arm.move((0.0, speed), 0.5, reported=np.array([1.0, reported]))
-    problem = arm.loop.controller.motion_problem[0] if is_dry_run else arm.reason
+    problem = arm.loop.motion_problem[0] if is_dry_run else arm.reason
     assert NAMES[1] in problem
     assert bool(arm.reason) is not is_dry_run
-    assert arm.loop.controller.phase is (Phase.FLOATING if is_dry_run else Phase.LIMIT_STOP)
+    assert arm.loop.phase is (Phase.FLOATING if is_dry_run else Phase.LIMIT_STOP)
 
 
 def test_a_jump_of_the_position_is_a_stop_only_with_feedback():
@@ -212,7 +212,7 @@ def test_motion_within_the_limits_goes_on(period):
             store_state(loop.collector, late, NAMES, *state)
             loop.step(late)
         waiting = []
-        assert not loop.controller.supervisor.limit_stop
+        assert not loop.supervisor.limit_stop
 
 
 def test_springs_push_back_from_the_position_limits_and_never_pull():

@@ -70,7 +70,7 @@ def loop():
 
 def test_a_limit_stop_is_logged_once(lines, loop):
     log, new = lines
-    loop.controller.limit_stop('elbow is too fast')
+    loop.limit_stop('elbow is too fast')
     loop.step(0.01)
     text = 'stopped: elbow is too fast'
     for _ in range(3):
@@ -82,7 +82,7 @@ def test_a_limit_stop_is_logged_once(lines, loop):
 def test_changes_in_quick_succession_are_not_all_logged(lines, loop):
     log, new = lines
     for k in range(20):  # as after jumps of the clock
-        loop.controller.supervisor.is_stopping = bool(k % 2)
+        loop.supervisor.is_stopping = bool(k % 2)
         loop.step(0.001 * k)
         log.report_activity(0.001 * k, loop)
     assert len(new()) == 6

@@ -101,7 +101,7 @@ class Node:
         return self
 
     def stop(self):
-        self.loop.controller.stop()
+        self.loop.stop()
         return self
 
     def dry(self):
@@ -148,13 +148,13 @@ def amid_clock(*clock):
 
 def moved_by_others(now):
     node = Node().dry().receive(now).step(now)
-    node.loop.controller.motion_problem = 'too fast', 0.0
+    node.loop.motion_problem = 'too fast', 0.0
     return node
 
 
 def limit_stopped():
     node = fresh()
-    node.loop.controller.limit_stop('elbow is too fast')
+    node.loop.limit_stop('elbow is too fast')
     return node.step(0.05)
 
 

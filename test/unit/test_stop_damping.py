@@ -431,7 +431,7 @@ def test_the_tip_never_becomes_fast_until_it_hangs(arm, rate):
 def test_noise_and_delay_do_not_end_the_damping_and_a_wrong_sign_does(arm, rate, speeds):
     assert not simulated(arm, rate, speeds=speeds).run(STOP + 0.8).report
     wrong = simulated(arm, rate, speeds=speeds, sign=-1.0).run(STOP + 0.13)
-    assert wrong.loop.controller.supervisor.limit_stop
+    assert wrong.loop.supervisor.limit_stop
 
 
 @arms
