@@ -1,12 +1,12 @@
 """The recursion compared with Lagrange's equations, and the power of friction."""
 
 from hypothesis import given, settings
-from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node import InverseDynamics
 from kinematics import assert_close, gradient, Tree
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from random_trees import random_chain, robots_with_states, urdf_of
+from random_trees import robots_with_states
 
 GRAVITY = (0.6, -1.5, -9.0)
 
@@ -44,16 +44,6 @@ def test_effort_terms_follow_from_lagranges_equations(case):
     assert_allclose(dynamics.gravity_efforts(q), expected, rtol=0, atol=1e-10 * scale)
     assert not terms.friction.any()
     assert not terms.external.any()
-
-
-def test_coriolis_efforts_of_these_trees_are_not_zero():
-    """The comparisons above are relative to other terms; this one is not."""
-    for seed in range(10):
-        links = random_chain(np.random.default_rng(seed), 4)
-        robot = load_urdf(urdf_of(links))
-        q, qd = np.random.default_rng(seed).uniform(-3.0, 3.0, (2, 4))
-        expected = Tree(links, robot.joint_names).efforts(q, qd, np.zeros(4), np.zeros(3))
-        assert_close(InverseDynamics(robot).coriolis_efforts(q, qd), expected)
 
 
 @given(robots_with_states(mimics=False))

@@ -49,39 +49,3 @@ def test_rotations_are_about_their_axis_and_about_fixed_axes(rng):
     assert_allclose(rotation_about(axis, rpy[0]), expected, rtol=0, atol=1e-12)
     expected = Rotation.from_euler('xyz', rpy).as_matrix()
     assert_allclose(rotation_of_rpy(*rpy), expected, rtol=0, atol=1e-12)
-
-
-@given(robots_with_states(vectors=2))
-def test_jacobian_times_joint_velocities_is_the_velocity_of_the_link(case):
-    _, robot, (q, qd) = case
-    dynamics, step = InverseDynamics(robot), 1e-5
-    for link in robot.link_names:
-        before, now, after = dynamics.pose(q + np.outer([-step, 0.0, step], qd), link)
-        growth = (after - before) / (2.0 * step)
-        spin = growth[:3, :3] @ now[:3, :3].T  # omega as a skew-symmetric matrix
-        expected = [*growth[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]]
-        assert_allclose(dynamics.jacobian(q, link) @ qd, expected, rtol=0, atol=1e-6)
-
-
-@given(robots_with_states(vectors=1), seeds)
-@settings(max_examples=50)
-def test_transposed_jacobian_gives_the_efforts_of_a_wrench(case, rng):
-    _, robot, (q,) = case
-    dynamics, zeros = InverseDynamics(robot), np.zeros(len(q))
-    link = str(rng.choice(robot.link_names))
-    wrench = rng.uniform(-9.0, 9.0, 6)  # along the axes of the base
-    R = dynamics.pose(q, link)[:3, :3]
-    dynamics.set_external_wrench(link, R.T @ wrench[:3], R.T @ wrench[3:])
-    external = dynamics.effort_terms(q, zeros, zeros).external
-    assert_allclose(dynamics.jacobian(q, link).T @ wrench, -external, rtol=0, atol=1e-10)
-
-
-@given(robots_with_states(vectors=1))
-@settings(max_examples=50)
-def test_only_joints_between_base_and_link_have_columns(case):
-    links, robot, (q,) = case
-    dynamics, tree = InverseDynamics(robot), Tree(links, robot.joint_names)
-    for i in range(len(links)):
-        moving = {tree.column[k] for k in range(1, len(links)) if i in tree.carried_by(k)}
-        jacobian = dynamics.jacobian(q, f'link{i}')
-        assert not np.delete(jacobian, sorted(moving - {-1}), axis=1).any()

@@ -7,7 +7,7 @@ from inverse_dynamics_node.dynamics.robot_table import joints_before
 from kinematics import assert_close, derivative, link_inertia, rotation_of_rpy, Tree
 from loads import apply, everything, random_loads, some_links, without_any
 import numpy as np
-from random_trees import random_chain, random_link, robots_with_states, urdf_of
+from random_trees import random_link, robots_with_states, urdf_of
 
 GRAVITY = np.array([0.6, -1.5, -9.0])
 seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
@@ -82,23 +82,6 @@ def test_external_wrenches_act_through_the_transposed_jacobian(case, rng):
     assert differs(force[0], bare_force[0])
 
 
-def test_wrenches_on_every_link_of_a_chain_reach_every_joint():
-    """A wrench on the base reaches none, so the random test above may compare zeros."""
-    rng = np.random.default_rng(3)
-    links = random_chain(rng, 6)
-    robot = load_urdf(urdf_of(links))
-    q = rng.uniform(-3.0, 3.0, 6)
-    placed = Tree(links, robot.joint_names).placed(q)
-    dynamics = InverseDynamics(robot, gravity=(0.0, 0.0, 0.0))
-    expected = np.zeros(6)
-    for name, at in zip(robot.link_names, placed, strict=True):
-        force, moment = rng.uniform(-9.0, 9.0, (2, 3))
-        dynamics.set_external_wrench(name, force, moment)
-        expected -= at.linear.T @ at.R @ force + at.angular.T @ at.R @ moment
-    assert np.abs(expected).min() > 0.01
-    assert_close(dynamics.gravity_efforts(q), expected)
-
-
 # Wrenches at the joints
 
 
@@ -121,17 +104,6 @@ def test_joint_wrenches_are_momentum_rate_and_weight_of_the_carried_links(case):
         R, p = placed[i].R, placed[i].p
         assert_close(force, R.T @ growth)
         assert_close(moment, R.T @ (spin - np.cross(p, growth)), 1e-9)
-
-
-@given(robots_with_states(vectors=1))
-def test_the_base_wrench_is_the_weight_of_a_robot_at_rest(case):
-    links, robot, (q,) = case
-    force, moment = InverseDynamics(robot, GRAVITY).joint_wrenches(q, 0.0 * q, 0.0 * q)
-    placed = Tree(links, robot.joint_names).placed(q)
-    centres = [at.point(np.array(link.com))[0] for link, at in zip(links, placed, strict=True)]
-    weights = [link.mass * GRAVITY for link in links]
-    assert_close(force[0], -np.sum(weights, axis=0))
-    assert_close(moment[0], -np.sum(np.cross(centres, weights), axis=0))
 
 
 @given(robots_with_states(), seeds)
@@ -160,27 +132,6 @@ def test_joint_wrenches_along_the_axes_are_the_efforts_without_friction_and_arma
 # Friction and armature
 
 
-@given(robots_with_states(), st.data())
-def test_friction_stays_at_its_joint(case, data):
-    _, robot, (q, qd, qdd) = case
-    k = data.draw(st.integers(0, len(q) - 1))
-    dynamics = InverseDynamics(robot)
-    before = dynamics.efforts(q, qd, qdd)
-    damping, coulomb = np.zeros((2, len(q)))
-    damping[k], coulomb[k], width = 0.7, 1.3, 0.8
-    dynamics.set_friction(damping, coulomb, width)
-    expected = np.zeros(len(q))
-    expected[k] = 0.7 * qd[k] + 1.3 * np.tanh(qd[k] / width)
-    assert expected[k] != 0.0
-    after = dynamics.efforts(q, qd, qdd)
-    others = np.arange(len(q)) != k
-    assert (after[others] == before[others]).all()
-    np.testing.assert_allclose(
-        after[k] - before[k], expected[k], rtol=1e-12, atol=1e-12 * np.abs(before[k])
-    )
-    assert_close(dynamics.effort_terms(q, qd, qdd).friction, expected)
-
-
 @given(robots_with_states(), seeds)
 def test_friction_never_drives_a_joint(case, rng):
     _, robot, (q, qd, qdd) = case
@@ -200,17 +151,6 @@ def test_friction_never_drives_a_joint(case, rng):
     assert ((total - rigid) * qd >= -1e-12 * scale * np.abs(qd)).all()
     np.testing.assert_allclose(friction, expected, rtol=1e-9, atol=1e-12 * scale)
     np.testing.assert_allclose(total - rigid, expected, rtol=0, atol=1e-12 * scale)
-
-
-@given(robots_with_states(), seeds)
-def test_armature_is_inertia_on_the_diagonal(case, rng):
-    _, robot, (q, qd, qdd) = case
-    armature = rng.uniform(0.1, 2.0, len(q))
-    bare, geared = InverseDynamics(robot), InverseDynamics(robot)
-    geared.set_armature(armature)
-    assert_close(geared.mass_matrix(q), bare.mass_matrix(q) + np.diag(armature))
-    assert_close(geared.efforts(q, qd, qdd), bare.efforts(q, qd, qdd) + armature * qdd)
-    assert_close(geared.effort_terms(q, qd, qdd).inertial, geared.mass_matrix(q) @ qdd)
 
 
 def set_drives(dynamics, rng):
@@ -327,19 +267,6 @@ def test_coriolis_efforts_depend_on_the_base_only_by_its_angular_velocity(case, 
     scale = 1.0 + np.abs(turning).max()
     again = dynamics.coriolis_efforts(q, qd)
     np.testing.assert_allclose(again, turning, rtol=0, atol=1e-10 * scale)
-
-
-def test_a_rotating_base_adds_coriolis_efforts():
-    robot = load_urdf(urdf_of(random_chain(np.random.default_rng(5), 3)))
-    q, qd = np.random.default_rng(5).uniform(-3.0, 3.0, (2, 3))
-    dynamics = InverseDynamics(robot)
-    expected = dynamics.coriolis_efforts(q, qd)
-    dynamics.set_base_motion(angular_velocity=(1.0, -2.0, 0.5))
-    added = dynamics.coriolis_efforts(q, qd) - expected
-    # The product of omega and qd is linear in both.
-    assert np.abs(added).max() > 0.01
-    dynamics.set_base_motion(angular_velocity=(2.0, -4.0, 1.0))
-    assert_close(dynamics.coriolis_efforts(q, qd) - expected, 2.0 * added)
 
 
 # A base that moves
