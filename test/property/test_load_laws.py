@@ -59,6 +59,7 @@ def test_external_wrenches_act_through_the_transposed_jacobian(case, rng):
     placed = Tree(links, robot.joint_names).placed(q)
     dynamics = InverseDynamics(robot)
     bare = dynamics.efforts(q, qd, qdd)
+    held = dynamics.gravity_efforts(q)
     bare_force, bare_moment = dynamics.joint_wrenches(q, qd, qdd)
     pushed = np.zeros(len(q))
     total_force, total_moment = np.zeros(3), np.zeros(3)
@@ -71,9 +72,11 @@ def test_external_wrenches_act_through_the_transposed_jacobian(case, rng):
         pushed += at.linear.T @ force + at.angular.T @ moment
         total_force += force
         total_moment += moment + np.cross(at.p, force)
-    scale = max(np.abs(bare).max(), 99.0)
+    scale = max(np.abs(bare).max(), np.abs(held).max(), 99.0)
     expected = bare - pushed
     np.testing.assert_allclose(dynamics.efforts(q, qd, qdd), expected, rtol=0, atol=1e-10 * scale)
+    held_and_pushed = dynamics.gravity_efforts(q)
+    np.testing.assert_allclose(held_and_pushed, held - pushed, rtol=0, atol=1e-10 * scale)
     external = dynamics.effort_terms(q, qd, qdd).external
     np.testing.assert_allclose(external, -pushed, rtol=0, atol=1e-10 * scale)
     force, moment = dynamics.joint_wrenches(q, qd, qdd)
