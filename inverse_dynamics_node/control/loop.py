@@ -237,7 +237,7 @@ class ControlLoop:
 
     def step(self, now: float) -> Command | None:
         """
-        Compute the command at time ``now`` [s]; return None while inputs are `missing`.
+        Compute the command at time ``now`` [s]; return None while inputs are missing.
 
         ``now`` is measured by the same clock as the times of joint states and references.
 
@@ -336,27 +336,6 @@ class ControlLoop:
             self.motion_problem = seen.text, now
         elif phase in COMPUTING_PHASES or self.stop_damping.is_active:
             self.limit_stop(seen.text)
-
-    def missing(
-        self, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
-    ) -> list[str]:
-        """
-        Describe the necessary inputs that have not arrived yet.
-
-        ``states`` and ``imu`` are the topic names to use in the text. If the time ``now`` [s] is
-        given, the text also names joints with old or contradictory positions.
-
-        """
-        joints = self.collector.missing()
-        word = 'position' if len(joints) == 1 else 'positions'
-        similar = ', '.join(map(repr, self.collector.similar_names()))
-        hint = f' (received similar names: {similar})' if similar else ''
-        missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
-        if now is not None and not missing:
-            joints = self.collector.stale(now, self.settings.state_timeout)
-            if joints:
-                missing = [f'new joint states of {", ".join(joints)} on {states}']
-        return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
     def drive_reference(self) -> tuple[Floats, Floats]:
         """Return positions and velocities to send with the last command; see `DriveReference`."""

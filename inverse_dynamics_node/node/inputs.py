@@ -19,7 +19,6 @@ from trajectory_msgs.msg import JointTrajectory
 from ..control.joint_states import JointStateCollector, LARGEST, Layout
 from ..control.laws import Reference
 from ..control.loop import ControlLoop
-from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
@@ -27,6 +26,7 @@ from ..ros.cdr import JointStateReader
 from ..ros.middleware import BEST_EFFORT, overridable, QUEUED, RELIABLE
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
+from .status_text import describe_imu_frame
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
 _SMALL_CHANGE = 0.05  # smaller relative changes of gravity are not logged

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..control.loop import ControlLoop
-from ..control.status_text import activity
 from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
 from ..ros.diagnostics import Level, NodeStatus
+from .status_text import activity
 
 _PERIOD = 2.0  # [s]; between repetitions of an event
 _LONG_PERIOD = 10.0  # [s]; between repetitions of a lasting problem

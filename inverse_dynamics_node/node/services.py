@@ -17,6 +17,7 @@ from ..report.robot_tables import model_report
 from ..robot.model import Floats
 from .ros_parameters import unknown_parameters
 from .runner import LoopRunner
+from .status_text import missing_inputs
 
 _TYPES = {kind.value for kind in Parameter.Type}
 
@@ -53,7 +54,7 @@ class Services:
 
 def describe_robot(loop: ControlLoop) -> str:
     """Describe the robot and, if its pose is known, the efforts that hold the pose."""
-    missing = loop.missing()
+    missing = missing_inputs(loop)
     if missing:
         waiting = f'waiting for {", ".join(missing)}'
         return f'{_report(loop, None)}\n\nThe holding efforts are not known yet: {waiting}.'

@@ -13,7 +13,11 @@ import numpy as np
 
 from ..control.loop import ControlLoop
 from ..control.settings import Mode
-from ..control.status_text import (
+from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
+from ..ros.diagnostics import Level, NodeStatus, NONE, Part
+from ..ros.graph import OtherNodes, SimulatedClock
+from .monitor import Monitor
+from .status_text import (
     activity,
     describe_implausible,
     describe_late,
@@ -21,11 +25,8 @@ from ..control.status_text import (
     describe_lost_states,
     describe_motion,
     describe_unstable_gains,
+    missing_inputs,
 )
-from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
-from ..ros.diagnostics import Level, NodeStatus, NONE, Part
-from ..ros.graph import OtherNodes, SimulatedClock
-from .monitor import Monitor
 
 _SLOW = 0.95  # the loop is too slow below this fraction of the requested rate
 _LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
@@ -77,7 +78,9 @@ def describe_node(
     if around.clock is not None:
         status['clock'] = _clock(around.clock)
     if loop is not None:
-        missing = loop.missing(*around.inputs, now if loop.phase is Phase.WAITING else None)
+        missing = missing_inputs(
+            loop, *around.inputs, now if loop.phase is Phase.WAITING else None
+        )
         missing = [f'no command yet: waiting for {each}' for each in missing]
         imu = missing.pop() if loop.lacks_imu else describe_lost_imu(now, loop)
         status['joint states'] = _joint_states(now, loop, around, '; '.join(missing))

@@ -11,8 +11,8 @@ from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings
-from inverse_dynamics_node.control.status_text import describe_implausible
 from inverse_dynamics_node.control.supervision import Phase
+from inverse_dynamics_node.node.status_text import describe_implausible, missing_inputs
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -43,10 +43,10 @@ def test_a_payload_affects_the_next_command():
 def test_without_the_motion_of_the_base_there_is_no_command():
     loop = report_all(ControlLoop(MODEL, settings=AT_ONCE, has_imu=True))
     assert loop.step(0.0) is None
-    assert loop.missing() == ['the motion of the base on imu']
+    assert missing_inputs(loop) == ['the motion of the base on imu']
     loop.loads.set_base_motion(0.0, (0.0, 0.0, 9.80665), np.zeros(3))
     assert loop.step(0.0).efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
-    assert loop.missing() == []
+    assert missing_inputs(loop) == []
 
 
 def test_a_dry_run_ends_what_is_sent_and_its_end_lets_it_rise_from_zero():
@@ -182,7 +182,7 @@ def test_a_misnamed_joint_is_mentioned():
     names = [name.replace('joint_', 'joint') for name in NAMES[:1]] + list(NAMES[1:])
     store_state(loop.collector, 0.0, names, Q, np.zeros(6))
     text = f"the position of {NAMES[0]} on joint_states (received similar names: '{names[0]}')"
-    assert loop.missing() == [text]
+    assert missing_inputs(loop) == [text]
 
 
 def test_positions_of_joints_that_were_never_reported_are_not_judged():
@@ -321,13 +321,13 @@ def test_missing_joints_are_listed():
     loop = ControlLoop(MODEL)
     store_state(loop.collector, 0.0, NAMES[2:], Q[2:], np.zeros(4))
     missing = f'the positions of {NAMES[0]}, {NAMES[1]} on joint_states'
-    assert loop.missing() == [missing]
+    assert missing_inputs(loop) == [missing]
 
 
 def test_old_joint_states_are_listed_as_missing():
     loop = report_all(ControlLoop(MODEL))
-    assert loop.missing(now=0.1) == []
-    assert loop.missing('/joint_states', now=9.0) == [
+    assert missing_inputs(loop, now=0.1) == []
+    assert missing_inputs(loop, '/joint_states', now=9.0) == [
         f'new joint states of {", ".join(NAMES)} on /joint_states'
     ]
 

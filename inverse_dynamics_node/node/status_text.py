@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
+from ..control.external_loads import IMU_TIMEOUT
+from ..control.loop import ControlLoop
+from ..control.settings import Mode, StalePolicy
+from ..control.supervision import Phase, recovery_time, TOO_FAR_PHASES
 from ..robot.limit_checks import implausible_positions
 from ..robot.model import Floats
-from .external_loads import IMU_TIMEOUT
-from .loop import ControlLoop
-from .settings import Mode, StalePolicy
-from .supervision import Phase, recovery_time, TOO_FAR_PHASES
 
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
@@ -36,6 +36,27 @@ def activity(now: float, loop: ControlLoop) -> str:
     elif phase not in (Phase.RUNNING, Phase.WAITING):
         doing = f'{_consequence(loop)}: {_reason_to_stop(now, loop)}'
     return f'dry run: {doing}' if loop.dry_run.is_active else doing
+
+
+def missing_inputs(
+    loop: ControlLoop, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
+) -> list[str]:
+    """
+    Describe the necessary inputs that have not arrived yet.
+
+    `states` and `imu` are the topic names to use in the text. If the time `now` [s] is given, the
+    text also names joints with old positions.
+    """
+    joints = loop.collector.missing()
+    word = 'position' if len(joints) == 1 else 'positions'
+    similar = ', '.join(map(repr, loop.collector.similar_names()))
+    hint = f' (received similar names: {similar})' if similar else ''
+    missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
+    if now is not None and not missing:
+        joints = loop.collector.stale(now, loop.settings.state_timeout)
+        if joints:
+            missing = [f'new joint states of {", ".join(joints)} on {states}']
+    return [*missing, f'the motion of the base on {imu}'] if loop.lacks_imu else missing
 
 
 def _full_turns(loop: ControlLoop) -> str:
