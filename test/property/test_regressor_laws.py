@@ -11,8 +11,6 @@ from loads import apply, random_loads
 import numpy as np
 from random_trees import robots_with_states as cases
 
-WEIGHTLESS = (0.0, 0.0, 0.0)
-
 
 @given(cases(), st.integers(0, 2**32 - 1))
 def test_regressor_times_parameters_gives_the_efforts(case, seed):

@@ -108,11 +108,3 @@ def test_out_may_be_any_array_of_the_shape(rng):
     ):
         assert loaded_chain(*BASE_ROTATION).efforts(*states, out=out) is out
         assert (out == expected).all()
-
-
-def test_batches_of_several_dimensions(rng):
-    states = rng.uniform(-3.0, 3.0, (3, 7, 11, 5))
-    dynamics = loaded_chain(*BASE_ROTATION)
-    efforts = dynamics.efforts(*states)
-    assert efforts.shape == (7, 11, 5)
-    assert (efforts == dynamics.efforts(*states.reshape(3, 77, 5)).reshape(7, 11, 5)).all()
