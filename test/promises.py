@@ -11,9 +11,9 @@ import math
 
 from inverse_dynamics_node.control import stop_damping
 from inverse_dynamics_node.control.laws import Reference
+from inverse_dynamics_node.control.loop import COMPUTING_PHASES, Phase
 from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
-from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
 
 ROUNDING = 1e-6  # [N m]

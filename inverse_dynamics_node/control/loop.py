@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+import enum
 import math
 from typing import NamedTuple
 
@@ -17,9 +18,32 @@ from .joint_states import Events, JointStateCollector, State
 from .laws import joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
 from .settings import MeasuredGravity, Settings, StalePolicy
-from .shaping import CommandShaper, DriveReference
+from .shaping import CommandShaper, DriveReference, DryRun
 from .stop_damping import StopDamping
-from .supervision import COMPUTING_PHASES, DryRun, Phase, Supervisor
+
+_LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
+_TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the next state
+
+
+class Phase(enum.Enum):
+    """State of the controller."""
+
+    WAITING = 'waiting for the first complete joint state'
+    RUNNING = 'following the reference'
+    FLOATING = 'floating: no reference'
+    TOO_FAR = 'floating: the reference is too far away'
+    HOLDING = 'holding position: no reference'
+    HOLDING_TOO_FAR = 'holding position: the reference is too far away'
+    STATE_LOST = 'joint states lost'
+    NO_SOLUTION = 'no finite efforts for this joint state and reference'
+    STOPPED = 'stopped'
+    LIMIT_STOP = 'stopped by a motion limit'
+
+
+TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
+"""Phases in which the reference is too far away from the joint positions."""
+COMPUTING_PHASES = (Phase.RUNNING, Phase.FLOATING, Phase.HOLDING, *TOO_FAR_PHASES)
+"""Phases in which efforts are computed from a fresh state."""
 
 
 class Command(NamedTuple):
@@ -37,6 +61,159 @@ class Command(NamedTuple):
     """Why the stop damping has ended in this step; '' if it has not."""
     lost_velocities: tuple[str, ...] = ()
     """Joints whose velocities are no longer reported since the last step."""
+
+
+class Supervisor:
+    """
+    Decides what each command does: the phase of the controller.
+
+    No efforts are computed before the first complete joint state, while joint states are lost,
+    while the controller is stopped, and after a limit stop. Joint states are considered lost while
+    the latest state is too old or inconsistent, and for a recovery time afterwards. Without the
+    recovery time, intermittent states would shake the arm. A loss that ends before the efforts
+    have fallen noticeably needs no recovery time.
+
+    ``joints`` and ``units`` are the names of the m commanded joints and the units of their
+    positions.
+
+    """
+
+    def __init__(self, joints: Sequence[str], units: Sequence[str]) -> None:
+        self._joints, self._units = joints, units
+        self.phase = Phase.WAITING
+        """Phase of the last command."""
+        self.is_stopping = False
+        """Whether a stop has been requested; the efforts may still be ramping down."""
+        self.limit_stop = ''
+        """Why the motion limits have stopped the arm; '' if they have not."""
+        self._is_near = False  # whether the arm has been near the reference that it follows
+        self._lost_gain = 0.0  # gain at which the states were lost
+        self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
+        self._fresh_since = math.inf  # arrival time of the first state after the last gap
+
+    def apply(self, settings: Settings, law: Law) -> None:
+        """Change the settings and the law."""
+        self._settings, self._law = settings, law
+
+    def start(self) -> None:
+        """Return to the phase `WAITING`, and end a stop and a limit stop."""
+        self.resume()
+        self.phase = Phase.WAITING
+
+    def stop(self) -> None:
+        """Stop until `resume`."""
+        self.is_stopping = True
+
+    def stop_at_limit(self, reason: str) -> None:
+        """Begin a limit stop, which lasts until `resume`; ``reason`` is a sentence."""
+        self.limit_stop = reason
+
+    def resume(self) -> bool:
+        """End a stop and a limit stop; return whether there was one."""
+        was_stopped = self.is_stopping or bool(self.limit_stop)
+        self.is_stopping, self.limit_stop = False, ''
+        return was_stopped
+
+    def decide(
+        self,
+        now: float,
+        state: State | None,
+        reference: Reference | None,
+        gain: float,
+        *,
+        is_live: bool = True,
+    ) -> Phase:
+        """
+        Decide the phase of the next command.
+
+        ``now`` is the time [s], and ``gain`` the factor for the computed efforts, from 0 to 1.
+        Unless ``is_live``, an arm that falls behind its reference is not stopped.
+
+        """
+        was_near, self._is_near = self._is_near, False
+        timeout = self._settings.state_timeout
+        if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
+            self.phase = Phase.WAITING
+        elif self.limit_stop:
+            self.phase = Phase.LIMIT_STOP
+        elif self.is_stopping:
+            self.phase = Phase.STOPPED
+        elif self._is_lost(now, state, timeout, gain):
+            self.phase = Phase.STATE_LOST
+        else:
+            assert state is not None
+            self.phase = self._follow(now, state, reference, stops=was_near and is_live)
+        return self.phase
+
+    def fail(self) -> None:
+        """Record that the law has found no finite efforts."""
+        self.phase = Phase.NO_SOLUTION
+
+    def _follow(
+        self, now: float, state: State, reference: Reference | None, *, stops: bool
+    ) -> Phase:
+        """
+        Decide whether the reference is followed.
+
+        If ``stops`` is true, an arm that has fallen too far behind is stopped.
+
+        """
+        settings, law = self._settings, self._law
+        without_reference = Phase.HOLDING if law.holds else Phase.FLOATING
+        if reference is None or not law.uses_reference:
+            return without_reference
+        # The age may be negative after the clock was set back.
+        if not 0.0 <= now - reference.time <= (settings.reference_timeout or math.inf):
+            return without_reference
+        limit, positions = settings.max_tracking_error, reference.positions
+        if not limit or not law.is_closed or positions is None:
+            return Phase.RUNNING
+        behind = np.abs(law.distance(law.measured(state), positions))
+        ahead = behind
+        if law.equilibrium is not None:
+            ahead = np.abs(law.distance(law.equilibrium, positions))
+        if ahead.max() > limit:
+            return Phase.HOLDING_TOO_FAR if law.holds else Phase.TOO_FAR
+        k = int(np.argmax(behind))
+        self._is_near = behind[k] <= limit
+        if not self._is_near and stops:
+            unit = self._units[k]
+            self.stop_at_limit(
+                f'{self._joints[k]} is {behind[k]:.3g} {unit} from its reference, limit '
+                f'{limit:g} {unit}'
+            )
+            return Phase.LIMIT_STOP
+        return Phase.RUNNING
+
+    def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
+        """Return whether joint states are lost, or newer than ``now`` after a clock jump."""
+        was_lost = self.phase is Phase.STATE_LOST
+        if state is None:
+            # No joint state has ever arrived. The first one ends the loss.
+            self._lost_gain = 0.0
+            return True
+        is_fresh = 0.0 <= now - state.time <= timeout
+        if not is_fresh:
+            if not was_lost:
+                self._lost_gain = gain
+                if state.time - self._fresh_since >= recovery_time(timeout):
+                    self._tolerated_drop = _TOLERATED_DROP
+            self._fresh_since = math.inf
+            return True
+        self._fresh_since = min(self._fresh_since, state.time)
+        if not was_lost:
+            return False
+        drop = max(0.0, self._lost_gain - gain)
+        if drop <= self._tolerated_drop:
+            # Drops add up, so that many short losses also need a recovery time.
+            self._tolerated_drop -= drop
+            return False
+        return state.time - self._fresh_since < recovery_time(timeout)
+
+
+def recovery_time(timeout: float) -> float:
+    """Return how long joint states must arrive without a gap before a loss ends [s]."""
+    return max(2.0 * timeout, _LEAST_RECOVERY)
 
 
 class ControlLoop:
@@ -175,10 +352,15 @@ class ControlLoop:
         return self.supervisor.is_stopping
 
     def stop(self) -> None:
-        """Ramp the efforts to zero from the next step on, and keep them at zero."""
+        """Drop the reference, ramp the efforts to zero, and keep them at zero until `resume`."""
+        self.reference = None
         if not self.is_stopping and self.phase in COMPUTING_PHASES:
             self.stop_damping.begin(self.settings, self.scale.copy(), self.limits.copy())
         self.supervisor.stop()
+
+    def follow(self, reference: Reference) -> None:
+        """Follow a reference from the next step on."""
+        self.reference = reference
 
     def resume(self) -> None:
         """End a stop or limit stop; the efforts continue from the last command."""
@@ -274,7 +456,7 @@ class ControlLoop:
     def _inputs(self, now: float, is_live: bool) -> tuple[State | None, Events]:
         """Return the joint state, and bridge all changes of the inputs that are no motion."""
         state, events = self.collector.at(now)
-        if self.loads.update(now):
+        if self.loads.is_timed and self.loads.update(now):
             self.blend_model()
         if events.has_changed:
             self.blend()

@@ -23,6 +23,7 @@ NOMINAL_STEP = 0.02
 """Each command advances ramps by at most this time [s], or by one period of the loop if longer."""
 _LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
 _PAUSE = 4.0  # [nominal steps]; a shorter interval is not an interruption
+_ZEROS_TIME = 0.5  # [s]; a dry run sends zeros for this long after the ramp, in case some are lost
 _SETTLING = 0.2  # [s]; old messages may arrive for this long after an interruption
 
 
@@ -322,6 +323,77 @@ class CommandShaper:
             limits = self._rows[_LIMIT] if limits is None else limits
             self.command[:] = add_within(self.command, damping, limits)
         self._flags[:] = False
+
+
+class _Sent(enum.Enum):
+    COMPUTED = enum.auto()
+    FALLING = enum.auto()
+    NOTHING = enum.auto()
+
+
+class DryRun:
+    """
+    Selects the efforts to send, during normal operation and during dry runs.
+
+    At the start of a dry run, the commands fall to zero over the stop ramp, because a receiver
+    holds the last command forever. Zeros follow for half a second. Then nothing is sent, so that
+    another node may command the robot. The computed efforts are not affected.
+
+    """
+
+    def __init__(self, *, is_active: bool = False) -> None:
+        self._sent = _Sent.NOTHING if is_active else _Sent.COMPUTED
+        self._last: Floats | None = None
+        self._ramp = StopRamp()
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a dry run is active, in which the computed efforts are not sent."""
+        return self._sent is not _Sent.COMPUTED
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether the last command that was sent contains a nonzero effort."""
+        return self._last is not None and bool(self._last.any())
+
+    @property
+    def has_sent(self) -> bool:
+        """Whether this node sends commands, on which the robot may depend."""
+        return self._last is not None
+
+    def end(self) -> None:
+        """End the dry run; the caller must let the computed efforts rise from zero."""
+        self._sent = _Sent.COMPUTED
+
+    def begin(self, time_to_fall: float) -> None:
+        """
+        Start a dry run, in which the commands first fall to zero.
+
+        ``time_to_fall`` is the time until the commands are zero [s].
+
+        """
+        if self._last is None:
+            self._sent = _Sent.NOTHING
+        elif self._sent is _Sent.COMPUTED:
+            self._sent = _Sent.FALLING
+            self._ramp.begin(self._last, time_to_fall)
+
+    def select(self, efforts: Floats, elapsed: float) -> Floats | None:
+        """
+        Return the efforts to send, shape (m,) [N m or N]; None if nothing is sent.
+
+        ``elapsed`` is the time by which ramps advance [s]; see `RampClock`.
+
+        """
+        if self._sent is _Sent.COMPUTED:
+            self._last = efforts
+        elif self._sent is _Sent.FALLING:
+            self._ramp.advance(elapsed)
+            if self._ramp.time_left < -_ZEROS_TIME and not self.has_effort:
+                self._sent, self._last = _Sent.NOTHING, None
+            else:
+                self._last = self._ramp.command()
+        return self._last
 
 
 class DriveReference:

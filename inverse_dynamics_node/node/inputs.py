@@ -134,7 +134,7 @@ class Inputs:
             return
         now = self._runner.now()
         try:
-            loop.reference = read(message, loop.joints, now)
+            loop.follow(read(message, loop.joints, now))
         except InverseDynamicsError as error:
             self._runner.reject(topic, error)
 

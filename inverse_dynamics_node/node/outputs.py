@@ -42,6 +42,8 @@ class Outputs:
         self._description = node.create_publisher(String, '~/robot_description', LATCHED)
         self._joints = JointState()
         self._subscribed: set[Any] = set()
+        self.uses_measured_efforts = False
+        """Whether ``~/external_efforts`` has a subscriber and thus needs measured efforts."""
 
     def find_subscribers(self) -> None:
         """Store which topics have subscribers; a check before every message would be too slow."""
@@ -50,16 +52,12 @@ class Outputs:
             for publisher in (self._joint_efforts, self._joint_commands, self._external_efforts)
             if publisher.get_subscription_count()
         }
+        self.uses_measured_efforts = self._external_efforts in self._subscribed
 
     @property
     def receivers(self) -> int:
         """Total number of subscribers to the topics that may carry the commands."""
         return sum(form.get_subscription_count() for form in self.forms)
-
-    @property
-    def uses_measured_efforts(self) -> bool:
-        """Whether ``~/external_efforts`` has a subscriber and thus needs measured efforts."""
-        return self._external_efforts in self._subscribed
 
     def publish_description(self, loop: ControlLoop) -> None:
         """Publish the URDF of the loop, also to nodes that subscribe later."""

@@ -12,9 +12,8 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from ..control.loop import Command, ControlLoop
+from ..control.loop import Command, COMPUTING_PHASES, ControlLoop
 from ..control.stop_damping import AT_REST
-from ..control.supervision import COMPUTING_PHASES
 from ..errors import listed, shortened_lines
 from ..ros.graph import Graph
 from .configure import apply_configuration
@@ -118,7 +117,6 @@ class LoopRunner:
             self.loop.resume()
         else:
             self.loop.stop()
-            self.loop.reference = None
             self._watch_after(self._watch_period)
 
     def step(self, now: float) -> None:

@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..control.loop import ControlLoop
-from ..control.settings import Mode
-from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
+from ..control.loop import COMPUTING_PHASES, ControlLoop, Phase, TOO_FAR_PHASES
 from ..ros.diagnostics import Level, NodeStatus, NONE, Part
 from ..ros.graph import OtherNodes, SimulatedClock
 from .monitor import Monitor
@@ -204,13 +202,12 @@ def _joint_states(now: float, loop: ControlLoop, around: Surroundings, missing: 
     collector, settings = loop.collector, loop.settings
     if_lost = Level.ERROR if around.is_active else Level.WARN
     unseen, without_velocity = collector.unseen(), collector.without_velocity()
-    has_feedback = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
     no_damping = f'joints reported without velocity have no damping in {settings.mode.value}'
     warnings = [
         *describe_late(loop, now),
         *describe_implausible(loop).values(),
         *(f"'{name}' is not reported; its locked position is used" for name in unseen),
-        no_damping if has_feedback and without_velocity else '',
+        no_damping if loop.law.is_closed and without_velocity else '',
     ]
     return _part(
         'fresh',

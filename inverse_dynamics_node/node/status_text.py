@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from ..control.external_loads import IMU_TIMEOUT
-from ..control.loop import ControlLoop
-from ..control.settings import Mode, StalePolicy
-from ..control.supervision import Phase, recovery_time, TOO_FAR_PHASES
+from ..control.loop import ControlLoop, Phase, recovery_time, TOO_FAR_PHASES
+from ..control.settings import StalePolicy
 from ..robot.limit_checks import implausible_positions
 from ..robot.model import Floats
 
@@ -81,12 +80,11 @@ def _consequence(loop: ControlLoop) -> str:
 
 
 def _reason_for_no_reference(loop: ControlLoop) -> str:
-    settings = loop.settings
-    if settings.mode is Mode.GRAVITY_COMPENSATION:
-        return 'the reference is not used in mode gravity_compensation'
+    if not loop.law.uses_reference:
+        return f'the reference is not used in mode {loop.settings.mode.value}'
     if loop.reference is None:
         return 'no reference'
-    return f'no reference for more than {settings.reference_timeout:g} s'
+    return f'no reference for more than {loop.settings.reference_timeout:g} s'
 
 
 def _reason_to_stop(now: float, loop: ControlLoop) -> str:
@@ -177,15 +175,12 @@ def describe_unstable_gains(loop: ControlLoop) -> str:
     it exceeds about I / T^2. I is the inertia of the joint; for `computed_torque`, it is 1.
 
     """
-    names = {
-        Mode.COMPUTED_TORQUE: ('kd', 'kp'),
-        Mode.JOINT_IMPEDANCE: ('impedance_damping', 'stiffness'),
-    }.get(loop.settings.mode)
+    names = loop.law.gains
     if names is None:
         return ''
     gains, inertia = loop.of_joint, np.ones(len(loop.index))
     with_inertia, advice = '', ['lower these gains']
-    if names[0] == 'impedance_damping':
+    if loop.law.holds:
         inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
         with_inertia = 'its inertia ({:.2g}) and '
         advice = ['lower these gains, or set armature to the reflected inertia of the rotor']

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..control.supervision import COMPUTING_PHASES
+from ..control.loop import COMPUTING_PHASES
 from ..errors import shortened
 
 NONE = 'none'

@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.laws import Reference
-from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.loop import COMPUTING_PHASES, ControlLoop, Phase
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
 import pytest
 from robot_files import ROOT

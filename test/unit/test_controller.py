@@ -4,8 +4,8 @@ import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.control.laws import Reference
+from inverse_dynamics_node.control.loop import Phase, recovery_time
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.supervision import Phase, recovery_time
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.laws import Reference
-from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.loop import ControlLoop, Phase
 from inverse_dynamics_node.control.settings import Mode, Settings
-from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT

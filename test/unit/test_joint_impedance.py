@@ -5,9 +5,8 @@ import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.laws import Reference
-from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.loop import ControlLoop, Phase
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.supervision import Phase
 from inverse_dynamics_node.node.status_text import describe_unstable_gains
 import numpy as np
 import pytest

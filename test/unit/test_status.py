@@ -7,7 +7,7 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import Command, ControlLoop
 from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.supervision import DryRun
+from inverse_dynamics_node.control.shaping import DryRun
 from inverse_dynamics_node.node.status_text import describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
 from inverse_dynamics_node.robot.model import ModelWarning

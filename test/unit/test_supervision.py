@@ -2,8 +2,9 @@
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.laws import Law
+from inverse_dynamics_node.control.loop import Phase, Supervisor
 from inverse_dynamics_node.control.settings import Settings
-from inverse_dynamics_node.control.supervision import DryRun, Phase, Supervisor
+from inverse_dynamics_node.control.shaping import DryRun
 import numpy as np
 import pytest
 from robot_files import ROOT
