@@ -115,8 +115,6 @@ class JointStateCollector:
         self._events = _NO_EVENTS
         self.velocity_timeout = _VELOCITY_TIMEOUT
         """Time after a joint's last velocity in which states without velocity are ignored [s]."""
-        self.late_count = 0
-        """Number of late joints in the last step, except commanded and locked joints."""
         self._flags = np.zeros((2, n), dtype=bool)
         self._has_velocity, self._has_lost_velocity = self._flags
         self._index = {name: i for i, name in enumerate(self.joint_names)}
@@ -252,7 +250,6 @@ class JointStateCollector:
         if (is_resting != self._is_resting).any():
             self._events = self._events._replace(has_changed=True)
         self._is_resting, self._has_resting = is_resting, bool(is_resting.any())
-        self.late_count = int(np.count_nonzero(is_resting & self._is_free))
         self.qd[is_resting] = 0.0
 
     def unseen(self) -> list[str]:

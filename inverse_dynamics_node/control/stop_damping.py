@@ -20,6 +20,9 @@ TIMEOUT = 20.0
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # A joint reverses if its velocity changes its sign between values of at least this magnitude.
 _LEAST_REVERSAL = 0.1  # [rad/s or m/s]
+# A joint that is damped with states that are late by T reverses every 2 T. A hanging arm swings
+# more slowly.
+_SHAKING = 0.25  # [s]
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
@@ -38,8 +41,8 @@ class StopDamping:
     drive a joint whose velocity or effort has the wrong sign.
 
     The damping falls at once, for example after a late joint state, and rises slowly, within the
-    stop ramp. States that are always late make a damped arm swing. The damping is therefore halved
-    each time a joint reverses, except for the first time.
+    stop ramp. States that are always late make a damped arm shake. The damping is therefore halved
+    each time a joint reverses soon after it has reversed before.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
@@ -56,6 +59,7 @@ class StopDamping:
         self._applied = 0.0  # [1/s]; rate of decay that the last command applied
         self._is_new = True  # whether the next command does not raise the damping
         self._q = self._qd = self._times = self._rest = self._direction = np.zeros(len(index))
+        self._reversed = np.zeros(len(index))  # time of the last reversal of each joint [s]
         self._reversals = 0
         self._rest_since = 0.0  # [s]
 
@@ -73,6 +77,7 @@ class StopDamping:
         self._settings, self._passed, self._report = settings, -1.0, ''
         self._applied, self._is_new, self._reversals = 0.0, True, 0
         self._direction = np.zeros(len(self._index))
+        self._reversed = np.full(len(self._index), -math.inf)
         self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
@@ -113,7 +118,7 @@ class StopDamping:
             self.end(problem)
             return None
         assert state is not None
-        wanted = left * self._rate(now - state.time, since) * 0.5 ** max(0, self._reversals - 1)
+        wanted = left * self._rate(now - state.time, since) * 0.5**self._reversals
         rise = ramp_fraction(0.0 if self._is_new else step, settings.stop_ramp)
         self._is_new = False
         self._applied = min(wanted, self._applied + rise * settings.stop_damping)
@@ -130,8 +135,9 @@ class StopDamping:
             return 'the joint states were lost'
         self._q, self._qd, self._times = q, qd, times
         direction = np.where(np.abs(qd) >= _LEAST_REVERSAL, np.sign(qd), self._direction)
-        if (direction * self._direction < 0.0).any():
-            self._reversals += 1
+        reverses = direction * self._direction < 0.0
+        self._reversals += int((now - self._reversed[reverses] < _SHAKING).any())
+        self._reversed[reverses] = now
         self._direction = direction
         return ''
 
