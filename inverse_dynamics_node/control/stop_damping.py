@@ -18,11 +18,10 @@ TIMEOUT = 20.0
 """Longest time for which a stop is damped [s]; then the damping fades over the stop ramp."""
 # An arm that moves less than this distance within this time is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
-# A joint reverses if its velocity changes its sign between values of at least this magnitude.
-_LEAST_REVERSAL = 0.1  # [rad/s or m/s]
-# A joint that is damped with states that are late by T reverses every 2 T. A hanging arm swings
-# more slowly.
-_SHAKING = 0.25  # [s]
+# A joint shakes if its velocity turns by _TURN or more, to and fro, within _SHAKING each time. A
+# hanging arm swings more slowly.
+_TURN, _SHAKING = 0.3, 0.25  # [rad/s or m/s], [s]
+_PERMITTED = 0.4  # rate of decay times delay, without overshoot
 _LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
@@ -41,8 +40,9 @@ class StopDamping:
     drive a joint whose velocity or effort has the wrong sign.
 
     The damping falls at once, for example after a late joint state, and rises slowly, within the
-    stop ramp. States that are always late make a damped arm shake. The damping is therefore halved
-    each time a joint reverses soon after it has reversed before.
+    stop ramp. States that are always late by a time T make a damped arm shake if the rate of decay
+    exceeds about 1 / T. The velocity of a joint then turns about every 2 T. If it does so three
+    times, the damping falls to a rate that such a delay permits.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
@@ -58,9 +58,10 @@ class StopDamping:
         self._passed = -1.0  # [s] since the first command of the stop; at first negative
         self._applied = 0.0  # [1/s]; rate of decay that the last command applied
         self._is_new = True  # whether the next command does not raise the damping
-        self._q = self._qd = self._times = self._rest = self._direction = np.zeros(len(index))
-        self._reversed = np.zeros(len(index))  # time of the last reversal of each joint [s]
-        self._reversals = 0
+        self._q = self._qd = self._times = self._rest = np.zeros(len(index))
+        # Of each joint: where its velocity turns, when it turned [s], and how often it shook.
+        self._direction = self._extreme = self._turned = self._shaken = np.zeros(len(index))
+        self._largest = 0.0  # [1/s]; largest rate of decay that the delay permits
         self._rest_since = 0.0  # [s]
 
     def begin(self, settings: Settings, scale: Floats, limits: Floats) -> None:
@@ -75,9 +76,9 @@ class StopDamping:
         self._scale, self.limits, self._longest = scale, limits, 0.0
         self.is_active = settings.stop_damping > 0.0
         self._settings, self._passed, self._report = settings, -1.0, ''
-        self._applied, self._is_new, self._reversals = 0.0, True, 0
-        self._direction = np.zeros(len(self._index))
-        self._reversed = np.full(len(self._index), -math.inf)
+        self._applied, self._is_new, self._largest = 0.0, True, settings.stop_damping
+        self._direction, self._shaken = np.ones(len(self._index)), np.zeros(len(self._index))
+        self._extreme = self._turned = np.full(len(self._index), -math.inf)
         self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
@@ -118,7 +119,7 @@ class StopDamping:
             self.end(problem)
             return None
         assert state is not None
-        wanted = left * self._rate(now - state.time, since) * 0.5**self._reversals
+        wanted = left * min(self._largest, self._rate(now - state.time, since))
         rise = ramp_fraction(0.0 if self._is_new else step, settings.stop_ramp)
         self._is_new = False
         self._applied = min(wanted, self._applied + rise * settings.stop_damping)
@@ -134,12 +135,21 @@ class StopDamping:
         if not is_first and not ((elapsed >= 0.0) & (elapsed <= timeout)).all():
             return 'the joint states were lost'
         self._q, self._qd, self._times = q, qd, times
-        direction = np.where(np.abs(qd) >= _LEAST_REVERSAL, np.sign(qd), self._direction)
-        reverses = direction * self._direction < 0.0
-        self._reversals += int((now - self._reversed[reverses] < _SHAKING).any())
-        self._reversed[reverses] = now
-        self._direction = direction
+        self._heed_shaking(now, qd)
         return ''
+
+    def _heed_shaking(self, now: float, qd: Floats) -> None:
+        """Lower the damping if the velocities show that the states are late."""
+        turns = self._direction * (self._extreme - qd) > _TURN
+        interval = now - self._turned
+        self._shaken = np.where(turns, (interval < _SHAKING) * (self._shaken + 1.0), self._shaken)
+        delay = np.min(interval, where=turns & (self._shaken > 1.0), initial=_SHAKING)
+        if delay < _SHAKING:
+            self._largest = min(self._largest, _PERMITTED / delay)
+        self._turned = np.where(turns, now, self._turned)
+        self._direction = np.where(turns, -self._direction, self._direction)
+        is_new = turns | (self._direction * (qd - self._extreme) > 0.0)
+        self._extreme = np.where(is_new, qd, self._extreme)
 
     def _is_at_rest(self) -> bool:
         is_falling = self._passed < self._settings.stop_ramp

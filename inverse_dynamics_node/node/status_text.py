@@ -81,7 +81,7 @@ def _consequence(loop: ControlLoop) -> str:
 
 def _reason_for_no_reference(loop: ControlLoop) -> str:
     if not loop.law.uses_reference:
-        return f'the reference is not used in mode {loop.settings.mode.value}'
+        return 'the reference is not used in mode gravity_compensation'
     if loop.reference is None:
         return 'no reference'
     return f'no reference for more than {loop.settings.reference_timeout:g} s'
