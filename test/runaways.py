@@ -49,6 +49,20 @@ def faults(joints):
     return ['', *of_joints, *others, 'late 30', 'late 60', 'payload 5']
 
 
+def impedance(loop, q):
+    """Return settings of joint impedance with gains that suit the inertia in a pose."""
+    # What a joint feels while the others give way.
+    free = np.ix_(loop.index, loop.index)
+    inertia = 1.0 / np.linalg.inv(loop.dynamics.mass_matrix(q)[free]).diagonal()
+    stiffness = np.minimum(STIFFNESS, BANDWIDTH**2 * inertia)
+    return {
+        'mode': Mode.JOINT_IMPEDANCE,
+        'start_ramp': 0.0,
+        'stiffness': tuple(stiffness),
+        'impedance_damping': tuple(2.0 * np.sqrt(stiffness * inertia)),
+    }
+
+
 class Runaway:
     """An arm with a fault; `run` fills the fields below."""
 
@@ -64,18 +78,7 @@ class Runaway:
         self.loop = ControlLoop(robot, self.joints, settings)
         self.loop.start()
         if mode == 'joint_impedance':
-            # What a joint feels while the others give way.
-            free = np.ix_(self.index, self.index)
-            mobility = np.linalg.inv(self.loop.dynamics.mass_matrix(self.start)[free])
-            inertia = 1.0 / mobility.diagonal()
-            stiffness = np.minimum(STIFFNESS, BANDWIDTH**2 * inertia)
-            gains = Settings(
-                mode=Mode.JOINT_IMPEDANCE,
-                start_ramp=0.0,
-                stiffness=tuple(stiffness),
-                impedance_damping=tuple(2.0 * np.sqrt(stiffness * inertia)),
-            )
-            self.loop.apply(gains)
+            self.loop.apply(Settings(**impedance(self.loop, self.start)))
         n, m = len(robot.joint_names), len(self.joints)
         self.factor, self.order, self.delay = np.ones(m), np.arange(m), 0
         self.of_velocity, self.axis, self.zero = np.ones(n), np.ones(n), np.zeros(n)

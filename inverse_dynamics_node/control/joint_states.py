@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-import difflib
 from itertools import compress
 import math
 from typing import Any, NamedTuple
@@ -118,7 +117,8 @@ class JointStateCollector:
         self._flags = np.zeros((2, n), dtype=bool)
         self._has_velocity, self._has_lost_velocity = self._flags
         self._index = {name: i for i, name in enumerate(self.joint_names)}
-        self._foreign_names: list[str] = []
+        self.foreign_names: list[str] = []
+        """Some of the reported names that are not joints of the robot."""
         self._lock(locked or {}, commanded)
         self._is_free = self.times == -math.inf  # not locked
         self._is_commanded = self._is_free & [
@@ -218,13 +218,6 @@ class JointStateCollector:
         """Return the unlocked joints that were never reported."""
         return self._named(self.times == -math.inf)
 
-    def similar_names(self) -> list[str]:
-        """Return unknown reported names that resemble the names of missing joints."""
-        closest: list[str] = []
-        for name in self.missing():
-            closest += difflib.get_close_matches(name, self._foreign_names, 1)
-        return list(dict.fromkeys(closest))
-
     def stale(self, now: float, timeout: float) -> list[str]:
         """Return the commanded joints whose last report is older than the timeout [s]."""
         return self._named(self._is_commanded & self._is_old(now, timeout))
@@ -262,11 +255,11 @@ class JointStateCollector:
 
     def _remember_foreign_names(self, names: tuple[str, ...]) -> None:
         for name in names:
-            if len(self._foreign_names) >= _MOST_FOREIGN_NAMES:
+            if len(self.foreign_names) >= _MOST_FOREIGN_NAMES:
                 return
-            is_known = name in self._index or name in self._foreign_names
+            is_known = name in self._index or name in self.foreign_names
             if not is_known and len(name) <= _LONGEST_NAME:
-                self._foreign_names.append(name)
+                self.foreign_names.append(name)
 
     def _lock(self, locked: Mapping[str, float], commanded: Sequence[str]) -> None:
         unknown = [name for name in locked if name not in self._index]

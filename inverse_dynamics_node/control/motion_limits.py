@@ -46,8 +46,9 @@ _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, 
 # After a pause of the computer, joint states arrive together, and the first of them are old. The
 # allowance permits this. It is the time between two states, at most _LONGEST_PAUSE, multiplied by
 # the smaller of their speeds, so that a single wrong velocity does not increase it. The largest
-# product counts, and fades within about a second.
-_LONGEST_PAUSE = 0.1  # [s]
+# product counts, or the root of the sum of squares after pauses longer than _PAUSE. The motion
+# that states show within _TOGETHER is permitted too. The allowance fades within about a second.
+_LONGEST_PAUSE, _PAUSE, _TOGETHER = 0.1, 0.02, 5e-4  # [s]
 # A change of position is a step of the efforts, not motion, if it is faster than this multiple of
 # the speed limit. Messages may be late by _LATENESS, but not after a pause of _LONGEST_PAUSE. The
 # speed limit is taken to be within _SPEEDS: at least, by default, and at most.
@@ -335,8 +336,14 @@ def observe_joints(
         memory = max(0.0, 1.0 - elapsed / _MEMORY)
         way = memory * (rows[_WAY, k] + step)
         integral = memory * (rows[_INTEGRAL, k] + 0.5 * elapsed * (last + velocity))
-        slower = min(abs(last), abs(velocity))
-        allowance = max(min(elapsed, _LONGEST_PAUSE) * slower, memory * rows[_ALLOWANCE, k])
+        error = min(elapsed, _LONGEST_PAUSE) * min(abs(last), abs(velocity))
+        allowance = memory * rows[_ALLOWANCE, k]
+        if elapsed > _PAUSE:
+            allowance = math.sqrt(error**2 + allowance**2)
+        elif elapsed < _TOGETHER:
+            allowance += abs(step)
+        else:
+            allowance = max(error, allowance)
         rows[_WAY, k], rows[_INTEGRAL, k], rows[_ALLOWANCE, k] = way, integral, allowance
         bound = _LEAST_ERROR + _RELATIVE_ERROR * max(abs(way), abs(integral)) + allowance
         if finding < 2 and not abs(way - integral) <= bound:

@@ -66,13 +66,14 @@ class RampClock:
 
         A blend begins with the first command after `start`, and again with each command in
         the 0.2 s after an interruption. Possible interruptions are a suspended process, a stalled
-        machine and a jump of the clock.
+        machine and a jump of the clock. A long interval after another one is none.
 
         """
         since, self._now = now - self._now, now
+        usual = max(_LEAST_PAUSE, _PAUSE * self._longest, 2.0 * self.since)
         self.since = max(since, 0.0)
         self.step = min(self.since, self._longest)
-        if 0.0 <= since <= max(_LEAST_PAUSE, _PAUSE * self._longest):
+        if 0.0 <= since <= usual:
             is_interrupted = self._settling > 0.0
             self._settling = max(0.0, self._settling - since)
         else:

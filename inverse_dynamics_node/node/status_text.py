@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 import math
 
 import numpy as np
 
 from ..control.external_loads import IMU_TIMEOUT
+from ..control.joint_states import JointStateCollector
 from ..control.loop import ControlLoop, Phase, recovery_time, TOO_FAR_PHASES
 from ..control.settings import StalePolicy
 from ..robot.limit_checks import implausible_positions
@@ -37,6 +39,13 @@ def activity(now: float, loop: ControlLoop) -> str:
     return f'dry run: {doing}' if loop.dry_run.is_active else doing
 
 
+def similar_names(collector: JointStateCollector) -> list[str]:
+    """Return reported names that resemble the names of missing joints, but are none."""
+    names = collector.foreign_names
+    close = [name for joint in collector.missing() for name in get_close_matches(joint, names, 1)]
+    return list(dict.fromkeys(close))
+
+
 def missing_inputs(
     loop: ControlLoop, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
 ) -> list[str]:
@@ -48,7 +57,7 @@ def missing_inputs(
     """
     joints = loop.collector.missing()
     word = 'position' if len(joints) == 1 else 'positions'
-    similar = ', '.join(map(repr, loop.collector.similar_names()))
+    similar = ', '.join(map(repr, similar_names(loop.collector)))
     hint = f' (received similar names: {similar})' if similar else ''
     missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
     if now is not None and not missing:

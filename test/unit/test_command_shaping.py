@@ -41,13 +41,23 @@ def test_a_clock_that_is_set_back_does_not_advance_ramps():
 def test_commands_are_blended_for_a_while_after_an_interruption(jump):
     clock, now = RampClock(), 100.0
     assert clock.advance(now)  # a start
-    assert not clock.advance(now + 0.1)
-    now += 0.1 + jump
+    assert not clock.advance(now + 0.01)
+    now += 0.01 + jump
     assert clock.advance(now)
     interrupted = [clock.advance(now + 0.01 * k) for k in range(1, 31)]
     assert interrupted == sorted(interrupted, reverse=True)
     assert interrupted[:19] == [True] * 19
     assert interrupted[21:] == [False] * 9
+
+
+@pytest.mark.parametrize('interval', [0.11, 0.2, 1.0])
+def test_the_intervals_of_a_slow_driver_are_no_interruptions(interval):
+    clock = RampClock()
+    steps(clock, [interval] * 4)
+    now = 100.0 + 4 * interval
+    assert not any(clock.advance(now + interval * k) for k in range(1, 20))
+    assert not clock.advance(now + 21 * interval - 0.01)  # one message is lost
+    assert clock.advance(now + 25 * interval)
 
 
 def test_nothing_has_passed_at_a_start():

@@ -1,5 +1,6 @@
 """Faults between the node and the motors stop the arm before it becomes fast."""
 
+from nominal_runs import NominalRun, ROBOTS
 import pytest
 
 pytest.importorskip('mujoco')
@@ -24,8 +25,9 @@ EVERY = [
     if path
     for mode in MODES
     for fault in faults([j for j in load_urdf(path).joint_names if 'finger' not in j])
-    # States that are late as a whole are found only by the speed that they show too late.
-    if fault and not fault.startswith('late') and (arm, mode, fault) not in SAMPLE
+    # Stiff springs with states that are 60 ms late: the speed is seen 5 to 30 ms too late.
+    if (mode, fault) != ('joint_impedance', 'late 60')
+    if fault and (arm, mode, fault) not in SAMPLE
 ]
 
 
@@ -43,3 +45,18 @@ def test_without_a_fault_the_arm_goes_on(arm, mode):
     found = Runaway(arm, mode).run()
     assert not found.reason
     assert bool(found.top_speed > 0.001) is (mode not in ('float', 'guiding'))
+
+
+@pytest.mark.parametrize('name', ['panda', 'seven_dof'])
+def test_an_arm_without_a_fault_is_not_stopped_within_its_limits(name):
+    if name not in ROBOTS:
+        pytest.skip('the description of this robot is not installed')
+    run = NominalRun(ROBOTS[name], seed=3).play(48.0)
+    assert run.false_alarms == 0, run.stops
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('name', ROBOTS)
+def test_no_arm_without_a_fault_is_stopped_within_its_limits_in_ten_minutes(name):
+    run = NominalRun(ROBOTS[name]).play(600.0)
+    assert run.false_alarms == 0, run.stops
