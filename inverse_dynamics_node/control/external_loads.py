@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics.arguments import read_inertial, read_vector
+from ..dynamics.arguments import read_payload, read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, plain
 from ..robot.model import Floats
@@ -32,8 +32,6 @@ STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _GRAVITY_RATE = 20.0  # [m/s^3]
 _GRAVITY_PERIOD = 0.05  # [s]
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
-_LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
-_ROUNDING = 1e-3  # permitted rounding error of principal moments, relative to their sum
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -89,7 +87,7 @@ class ExternalLoads:
 
         """
         self.dynamics.robot.link_index(link)
-        payload = _read_payload(mass, com, inertia)
+        payload = read_payload(mass, com, inertia) if mass else NO_PAYLOAD
         last = self.payloads.get(link, NO_PAYLOAD)
         pairs: Any = zip(payload, last, strict=True)
         if all(np.array_equal(one, other) for one, other in pairs):
@@ -256,32 +254,3 @@ def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRO
             f'{name} is {plain(values)!r}, expected at most {largest:g} {unit} along each axis'
         )
     return vector
-
-
-def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
-    """
-    Validate a payload; return `NO_PAYLOAD` if the mass is zero.
-
-    A ConfigurationError is raised if no rigid body can have this mass and inertia, or if a number
-    is larger than 1e9.
-
-    """
-    payload = RigidBody(*read_inertial(mass, com, inertia))
-    largest = max(
-        payload.mass, float(np.abs(payload.com).max()), float(np.abs(payload.inertia).max())
-    )
-    if largest > _LARGEST_PAYLOAD:
-        raise ConfigurationError(
-            f'a value of the payload (mass, centre of mass or inertia) is {largest:g}, expected '
-            f'at most {_LARGEST_PAYLOAD:g} kg, m or kg m^2'
-        )
-    if not payload.mass:
-        return NO_PAYLOAD
-    principal = np.linalg.eigvalsh(payload.inertia)
-    if principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
-        moments = ', '.join(f'{moment:.3g}' for moment in principal)
-        raise ConfigurationError(
-            'the inertia of the payload is physically impossible: one of the principal moments '
-            f'({moments} kg m^2) exceeds the sum of the others'
-        )
-    return payload

@@ -196,7 +196,8 @@ class JointStateCollector:
             raise self._absurd(layout)
         if result & CHANGED:
             lost = tuple(self._named(self._has_lost_velocity))
-            self._events = Events(True, self._events.lost_velocities + lost)
+            lost = tuple(dict.fromkeys(self._events.lost_velocities + lost))
+            self._events = Events(True, lost)
             self._has_lost_velocity[:] = False
         if result & STORED:
             self._find_oldest()

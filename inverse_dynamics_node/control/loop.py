@@ -22,6 +22,18 @@ from .shaping import CommandShaper, DriveReference, DryRun
 from .stop_damping import StopDamping
 
 _LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
+# Settings that decide which inputs are used, or how; other settings act on the result.
+_OF_INPUTS = (
+    'mode',
+    'state_timeout',
+    'reference_timeout',
+    'max_tracking_error',
+    'velocity_filter_cutoff',
+    'velocity_limits',
+    'guiding_speed',
+    'limit_margin',
+    'limit_stiffness',
+)
 _TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the next state
 
 
@@ -86,6 +98,8 @@ class Supervisor:
         """Whether a stop has been requested; the efforts may still be ramping down."""
         self.limit_stop = ''
         """Why the motion limits have stopped the arm; '' if they have not."""
+        self.is_behind = ''
+        """How far the arm is behind the reference that it was near; '' if it is not."""
         self._is_near = False  # whether the arm has been near the reference that it follows
         self._lost_gain = 0.0  # gain at which the states were lost
         self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
@@ -130,7 +144,7 @@ class Supervisor:
         Unless ``is_live``, an arm that falls behind its reference is not stopped.
 
         """
-        was_near, self._is_near = self._is_near, False
+        was_near, self._is_near, self.is_behind = self._is_near, False, ''
         timeout = self._settings.state_timeout
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
             self.phase = Phase.WAITING
@@ -142,7 +156,10 @@ class Supervisor:
             self.phase = Phase.STATE_LOST
         else:
             assert state is not None
-            self.phase = self._follow(now, state, reference, stops=was_near and is_live)
+            self.phase = self._follow(now, state, reference, was_near)
+            if self.is_behind and is_live:
+                self.stop_at_limit(self.is_behind)
+                self.phase = Phase.LIMIT_STOP
         return self.phase
 
     def fail(self) -> None:
@@ -150,14 +167,9 @@ class Supervisor:
         self.phase = Phase.NO_SOLUTION
 
     def _follow(
-        self, now: float, state: State, reference: Reference | None, *, stops: bool
+        self, now: float, state: State, reference: Reference | None, was_near: bool
     ) -> Phase:
-        """
-        Decide whether the reference is followed.
-
-        If ``stops`` is true, an arm that has fallen too far behind is stopped.
-
-        """
+        """Decide whether the reference is followed, and whether the arm has fallen behind it."""
         settings, law = self._settings, self._law
         without_reference = Phase.HOLDING if law.holds else Phase.FLOATING
         if reference is None or not law.uses_reference:
@@ -172,17 +184,17 @@ class Supervisor:
         ahead = behind
         if law.equilibrium is not None:
             ahead = np.abs(law.distance(law.equilibrium, positions))
-        if ahead.max() > limit:
-            return Phase.HOLDING_TOO_FAR if law.holds else Phase.TOO_FAR
         k = int(np.argmax(behind))
-        self._is_near = behind[k] <= limit
-        if not self._is_near and stops:
+        is_near = bool(behind[k] <= limit)
+        if ahead.max() > limit or not (is_near or was_near):
+            return Phase.HOLDING_TOO_FAR if law.holds else Phase.TOO_FAR
+        self._is_near = True
+        if not is_near:
             unit = self._units[k]
-            self.stop_at_limit(
+            self.is_behind = (
                 f'{self._joints[k]} is {behind[k]:.3g} {unit} from its reference, limit '
                 f'{limit:g} {unit}'
             )
-            return Phase.LIMIT_STOP
         return Phase.RUNNING
 
     def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
@@ -260,6 +272,8 @@ class ControlLoop:
         self.law = Law(self.dynamics, index)
         """The law of the present mode."""
         self.motion_limits = MotionLimits(self.dynamics, index)
+        # Efforts that the law added in the last command, without and with the motion limits.
+        self._last_added: tuple[Floats | float, Floats | float] = 0.0, 0.0
         self.motion_problem = '', -math.inf
         """What the motion limits have found without stopping the arm, and when [s]."""
         self.stop_damping = StopDamping(self.dynamics, index)
@@ -284,6 +298,8 @@ class ControlLoop:
 
         """
         of_joint, robot = settings.expanded(len(self.joints)), self.robot
+        last = getattr(self, 'settings', settings)
+        has_same_inputs = all(getattr(settings, x) == getattr(last, x) for x in _OF_INPUTS)
         limits = of_joint['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, robot.effort_limits[self.index])
@@ -311,7 +327,10 @@ class ControlLoop:
             settings.start_ramp,
             settings.stop_ramp,
         )
-        self.blend_model()
+        if has_same_inputs:
+            self.blend_model()
+        else:
+            self.blend()
 
     def blend(self) -> None:
         """
@@ -329,7 +348,10 @@ class ControlLoop:
         Unlike after `blend`, the next command already follows new joint states and references.
 
         """
-        self.shaper.begin(self.law.last_efforts(), self.law.added)
+        tau, (without, with_limits) = self.law.last_efforts(), self._last_added
+        with np.errstate(all='ignore'):
+            added = self.law.added + (with_limits - without)
+        self.shaper.begin(tau, added)
 
     @property
     def phase(self) -> Phase:
@@ -342,11 +364,6 @@ class ControlLoop:
         return bool(self.shaper.command.any()) or self.stop_damping.is_active
 
     @property
-    def scale(self) -> Floats:
-        """Factors for the computed efforts, shape (m,)."""
-        return self.of_joint['effort_scale']
-
-    @property
     def is_stopping(self) -> bool:
         """Whether a stop has been requested; the efforts may still be ramping down."""
         return self.supervisor.is_stopping
@@ -355,7 +372,7 @@ class ControlLoop:
         """Drop the reference, ramp the efforts to zero, and keep them at zero until `resume`."""
         self.reference = None
         if not self.is_stopping and self.phase in COMPUTING_PHASES:
-            self.stop_damping.begin(self.settings, self.scale.copy(), self.limits.copy())
+            self.stop_damping.begin(self.settings, self.of_joint['effort_scale'], self.limits)
         self.supervisor.stop()
 
     def follow(self, reference: Reference) -> None:
@@ -367,7 +384,6 @@ class ControlLoop:
         if self.supervisor.limit_stop:
             self.motion_limits.reset()
         if self.supervisor.resume():
-            self.stop_damping.end()
             self.blend()  # even after a brief stop, because the reference may have been dropped
 
     def start(self, *, is_dry_run: bool = False) -> None:
@@ -376,7 +392,8 @@ class ControlLoop:
         self._restart()
 
     def _restart(self) -> None:
-        self.reference = None
+        self.reference, self._last_added = None, (0.0, 0.0)
+        self.motion_problem = '', -math.inf
         self.supervisor.start()
         self.stop_damping.end()
         self.law.reset()
@@ -432,6 +449,10 @@ class ControlLoop:
             shaper.clock.start()
             return None
         report = ''
+        if phase is not Phase.STOPPED:
+            self.stop_damping.end()
+        if self.supervisor.is_behind and not is_live:
+            self.motion_problem = self.supervisor.is_behind, now
         if phase not in COMPUTING_PHASES:
             law.forget()
             report = self._fall(now, state)
@@ -481,6 +502,7 @@ class ControlLoop:
         added = self.motion_limits.restrain(
             state, tau, self.law.added, step, is_following=is_following
         )
+        self._last_added = self.law.added, added
         return self.shaper.follow(tau, added)
 
     def _fall(self, now: float, state: State | None) -> str:

@@ -124,6 +124,7 @@ class MotionLimits:
             self._rows[_FASTEST, k] = min(max(least, speed if speed < math.inf else usual), most)
         self._rows[_TIME] = -math.inf
         self._commanded = self._rows[:, : len(index)]  # a view
+        self._of_urdf = self._commanded[_FASTEST].copy()
         self._found = np.zeros(2)
         self._all = np.ones(len(robot.joint_names), dtype=bool)
         self._none = np.zeros(len(index))
@@ -133,7 +134,7 @@ class MotionLimits:
             observe_joints,
             'UniTuple(i8, 2)(f8[:,::1], i8, f8[::1], f8[::1], f8[::1], b1[::1], f8, f8[::1])',
         )
-        compile_for(restrain, 'b1(f8[:,::1], f8[::1], f8[::1], f8, f8)')
+        compile_for(restrain, 'void(f8[:,::1], f8[::1], f8[::1], f8, f8)')
 
     def configure(self, speed: Floats, guiding: float, margin: Floats, stiffness: Floats) -> None:
         """
@@ -146,6 +147,7 @@ class MotionLimits:
         """
         robot = self._dynamics.robot
         self._commanded[_SPEED], self._guiding = speed, guiding
+        self._commanded[_FASTEST] = np.maximum(self._of_urdf, np.minimum(speed, 30.0))
         self._stiffness = stiffness
         self._lower = robot.lower[self._index] + margin
         self._upper = robot.upper[self._index] - margin
@@ -305,7 +307,8 @@ def observe_joints(
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
             continue
         rows[_JUMPS, k] = max(0.0, rows[_JUMPS, k] - elapsed)
-        if abs(step) > room:
+        fastest = max(speed, abs(velocity), abs(last))
+        if abs(step) > room + 2.0 * fastest * elapsed:
             rows[_PACE:_ROOM_ABOVE, k] = 0.0
             rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
@@ -352,25 +355,24 @@ def observe_joints(
 
 
 @compiled
-def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> bool:
+def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> None:
     """
-    Reduce efforts that drive joints at their speed limits; return whether any was reduced.
+    Reduce efforts that drive joints at their speed limits.
 
     ``added`` has one value for each commanded joint, and is changed in place. ``factor`` is the
     limit as a multiple of the speed limit. An effort returns slowly, within `_RETURN`, so that it
     does not chatter. ``elapsed`` is the time step of ramps [s].
 
     """
-    is_reduced = False
     for k in range(len(added)):
         limit, pace = factor * rows[_SPEED, k], rows[_PACE, k]
         effort = tau[int(rows[_INDEX, k])] + added[k]
         is_driving = effort * pace > 0.0
-        share = min(1.0, rows[_SHARE, k] + elapsed / (_RETURN if is_driving else _QUICK_RETURN))
+        last = rows[_SHARE, k]
+        share = min(1.0, last + elapsed / (_RETURN if is_driving else _QUICK_RETURN))
         if is_driving and abs(pace) > (1.0 - _FADING) * limit:
-            share = min(share, max(0.0, (limit - abs(pace)) / (_FADING * limit)))
+            least = last - elapsed / _QUICK_RETURN
+            share = min(share, max(0.0, least, (limit - abs(pace)) / (_FADING * limit)))
         rows[_SHARE, k] = share
         if share < 1.0:
             added[k] -= (1.0 - share) * effort
-            is_reduced = True
-    return is_reduced

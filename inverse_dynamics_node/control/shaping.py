@@ -281,13 +281,17 @@ class CommandShaper:
         if self._way is _Way.FALLING:
             self.command[:] = self._stop.command()
             self._pause = math.inf
-        elif self._way is _Way.FOLLOWING:
-            self._pause = math.inf if self._is_new else 0.0
+        elif self._is_new:  # the next computed efforts must be blended in
+            self._pause = math.inf
         else:
-            self._pause += self.clock.since
+            self._pause = 0.0 if self._way is _Way.FOLLOWING else self._pause + self.clock.since
         self._way, self._is_new = _Way.HOLDING, False
         self._has_repeated = self._left == 1.0
         self._flags[:] = False
+
+    def _begin_fall(self, duration: float) -> None:
+        self._top_gain, self._top_left = self.gain, self._left
+        self._stop.begin(self.command, duration)
 
     def fall(
         self,
@@ -311,10 +315,9 @@ class CommandShaper:
         else:
             self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
             self._way, self._is_new = _Way.FALLING, False
-            self._top_gain, self._top_left = self.gain, self._left
-            self._stop.begin(self.command, self._stop_ramp)
+            self._begin_fall(self._stop_ramp)
         if self.time_to_fall > within:
-            self._stop.begin(self.command, within)
+            self._begin_fall(within)
         fraction = self._stop.fraction
         # Scale the gain and the blend too, because computed efforts may soon continue.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left

@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike
 
 from ..errors import ConfigurationError, JointStateError, plain
 from ..robot.model import Floats, RobotModel
+from ..robot.rigid_body import RigidBody
 from .batch import LANES
 from .jit import OK
 
+_LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
+_ROUNDING = 1e-3  # permitted rounding error of principal moments, relative to their sum
 Computation = Callable[[Sequence[Floats], Floats], int]
 """Takes the arrays of N states, and the array for N results; returns a status code."""
 
@@ -178,3 +181,30 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
             f'inertia is {plain(inertia)!r}, expected no negative principal moment'
         )
     return number, read_vector('com', com, 'm'), moments
+
+
+def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
+    """
+    Convert and check a payload that comes from outside.
+
+    A ConfigurationError is raised if no rigid body can have this mass and inertia, or if a number
+    is larger than 1e9.
+
+    """
+    payload = RigidBody(*read_inertial(mass, com, inertia))
+    largest = max(
+        payload.mass, float(np.abs(payload.com).max()), float(np.abs(payload.inertia).max())
+    )
+    if largest > _LARGEST_PAYLOAD:
+        raise ConfigurationError(
+            f'a value of the payload (mass, centre of mass or inertia) is {largest:g}, expected '
+            f'at most {_LARGEST_PAYLOAD:g} kg, m or kg m^2'
+        )
+    principal = np.linalg.eigvalsh(payload.inertia)
+    if payload.mass and principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
+        moments = ', '.join(f'{moment:.3g}' for moment in principal)
+        raise ConfigurationError(
+            'the inertia of the payload is physically impossible: one of the principal moments '
+            f'({moments} kg m^2) exceeds the sum of the others'
+        )
+    return payload

@@ -136,7 +136,7 @@ def _run(stop: _Stop) -> int:
     if worker.problem:
         _report(f'warning: {worker.problem}')
     try:
-        node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, worker)
+        node = InverseDynamicsNode(lambda: stop.count, scheduling, worker)
     except Exception as error:
         for problem in [*(str(error) or repr(error)).splitlines(), *security_hints(error)]:
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)

@@ -33,7 +33,7 @@ from .ros_parameters import (
 )
 from .runner import LoopRunner
 from .scheduling import Scheduling
-from .services import contain_errors, Services
+from .services import answer_requests, contain_errors, Services
 from .status import OUTDATED
 from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller, Worker
@@ -54,13 +54,14 @@ class InverseDynamicsNode(LifecycleNode):
     Publishers, subscriptions and services exist as long as the node exists. The control loop and
     its timers exist only while the node is configured.
 
-    `skip_ramp` returns True to end the stop ramp early. `worker` fills trajectories. Create
-    `scheduling` before `worker`, as `Worker` explains. Other arguments are for `LifecycleNode`.
+    `signals` returns how many signals to end have arrived; the second ends the stop ramp. `worker`
+    fills trajectories. Create `scheduling` before `worker`, as `Worker` explains. Other arguments
+    are for `LifecycleNode`.
     """
 
     def __init__(
         self,
-        skip_ramp: Callable[[], bool],
+        signals: Callable[[], int],
         scheduling: Scheduling,
         worker: Worker,
         **kwargs: Any,
@@ -76,11 +77,12 @@ class InverseDynamicsNode(LifecycleNode):
         self._description = ''  # the latest text from the topic
         self._reason_to_stop, self._is_ending = 'deactivated', False
         self._uses_sim_time = self.get_parameter('use_sim_time').value
-        self._create_parts(configuration, skip_ramp)
+        self._signals = signals
+        self._create_parts(configuration)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 
-    def _create_parts(self, configuration: Configuration, skip_ramp: Callable[[], bool]) -> None:
+    def _create_parts(self, configuration: Configuration) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         now = time.monotonic  # twenty times as fast as reading `steady`
         if self._uses_sim_time:
@@ -96,7 +98,7 @@ class InverseDynamicsNode(LifecycleNode):
             log,
             clock,
             now,
-            skip_ramp,
+            self._signals,
             configuration,
         )
         self._filler = TrajectoryFiller(self, self._runner, self._worker)
@@ -194,12 +196,21 @@ class InverseDynamicsNode(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Ramp the efforts down to zero, and then stop publishing."""
-        self._ramp_down(is_last=self._is_ending)
+        self._ramp_down()
         return super().on_deactivate(state)
 
-    def _ramp_down(self, *, is_last: bool) -> None:
-        read = self._inputs.read_latest_joint_state
-        self._runner.ramp_down(self._reason_to_stop, read, is_last=is_last)
+    def _ramp_down(self) -> None:
+        self._runner.ramp_down(self._reason_to_stop, self._serve, lambda: self._is_ending)
+
+    def _serve(self) -> None:
+        """Do what cannot wait for the end of a stop, which may take 20 s."""
+        self._inputs.read_latest_joint_state()
+        answer_requests(self)
+        if self._signals() and not self._is_ending:
+            self._is_ending = True
+            self.get_logger().info(
+                'signal received: the process ends after the stop; another signal ends the stop'
+            )
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Discard the robot model, the payloads and the external wrenches."""
@@ -215,7 +226,8 @@ class InverseDynamicsNode(LifecycleNode):
         """Ramp the efforts down to zero, and let `main` end the process a second later."""
         self._may_autostart = False  # a description may arrive in this second
         if self._runner.is_active:
-            self._ramp_down(is_last=True)
+            self._is_ending = True
+            self._ramp_down()
         self._leaves_at = time.monotonic() + _ANSWER_TIME
         return super().on_shutdown(state)
 

@@ -38,8 +38,8 @@ class LoopRunner:
     """
     Steps the control loop and publishes its commands.
 
-    `clock` drives the timers, and `now` returns the time of `clock` [s]. `skip_ramp` returns True
-    to end the stop ramp early.
+    `clock` drives the timers, and `now` returns the time of `clock` [s]. `signals` returns how
+    many signals to end have arrived; the second ends the stop ramp.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class LoopRunner:
         log: NodeLog,
         clock: Clock,
         now: Callable[[], float],
-        skip_ramp: Callable[[], bool],
+        signals: Callable[[], int],
         configuration: Configuration,
     ) -> None:
         self._node, self.outputs, self.graph, self.log = node, outputs, graph, log
-        self._clock, self._skip_ramp = clock, skip_ramp
+        self._clock, self._signals = clock, signals
         self.now = now
         self.configuration = configuration
         self.loop: ControlLoop | None = None
@@ -216,14 +216,15 @@ class LoopRunner:
             self._watch.reset()
 
     def ramp_down(
-        self, reason: str, read_joint_state: Callable[[], None], *, is_last: bool
+        self, reason: str, serve: Callable[[], None], is_last: Callable[[], bool]
     ) -> None:
         """
-        Ramp the efforts down to zero, and publish zeros; nothing else runs meanwhile.
+        Ramp the efforts down to zero, and publish zeros.
 
-        `reason` is for the log. `read_joint_state` handles the latest joint state. If `is_last`,
-        the process ends soon. If a receiver is best effort, the zeros are then repeated for a
-        second: it may stand still, and gets nothing from a process that has ended.
+        `reason` is for the log. `serve` handles the latest joint state and waiting requests. If
+        `is_last` returns True at the end of the ramp, the process ends soon. If a receiver is best
+        effort, the zeros are then repeated for a second: it may stand still, and gets nothing from
+        a process that has ended.
         """
         assert self.loop is not None
         self.is_active = False
@@ -236,36 +237,34 @@ class LoopRunner:
         # Simulated time does not advance during a callback.
         self.now = lambda: start + time.monotonic() - steady_start
         try:
-            self._follow_stop_ramp(self.loop, read_joint_state)
+            self._follow_stop_ramp(self.loop, serve)
         finally:
             self.now = now
             self.outputs.publish_zeros(self.loop)
         for_a_while = ''
-        if is_last and self.outputs.has_best_effort_receivers:
+        if is_last() and self.outputs.has_best_effort_receivers:
             for_a_while = f' for {_ZEROS_TIME:g} s'
             end = time.monotonic() + _ZEROS_TIME
-            while time.monotonic() < end and not self._skip_ramp():
+            while time.monotonic() < end and self._signals() < 2:
                 time.sleep(_WATCH_PERIOD)
                 self.outputs.publish_zeros(self.loop)
         self._node.get_logger().info(f'stopped, zeros sent{for_a_while}: {reason}')
 
-    def _follow_stop_ramp(self, loop: ControlLoop, read_joint_state: Callable[[], None]) -> None:
+    def _follow_stop_ramp(self, loop: ControlLoop, serve: Callable[[], None]) -> None:
         loop.stop()
         damping, period = loop.stop_damping, self.configuration.period
-        while loop.has_to_stop and not self._skip_ramp():
-            if damping.is_active:
-                time.sleep(min(period or _POLL_PERIOD, self._watch_period))
-                last_state = loop.collector.time
-                try:
-                    read_joint_state()
-                except Exception as error:  # perhaps the error that caused the stop
-                    damping.end()
-                    self._report_damping(f'an error in the program ({error!r})')
-                has_state = period or loop.collector.time != last_state
-                if not has_state and self.now() < self._last_step + self._watch_period:
-                    continue
-            else:
-                time.sleep(self._watch_period)
+        while loop.has_to_stop and self._signals() < 2:
+            poll = period or _POLL_PERIOD if damping.is_active else self._watch_period
+            time.sleep(min(poll, self._watch_period))
+            last_state = loop.collector.time
+            try:
+                serve()
+            except Exception as error:  # perhaps the error that caused the stop
+                damping.end()
+                self._report_damping(f'an error in the program ({error!r})')
+            is_due = period or loop.collector.time != last_state or not damping.is_active
+            if not is_due and self.now() < self._last_step + self._watch_period:
+                continue
             now = self.now()
             command = loop.step(now)
             assert command is not None

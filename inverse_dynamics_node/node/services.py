@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.lifecycle import LifecycleNode
@@ -63,6 +64,21 @@ def describe_robot(loop: ControlLoop) -> str:
 
 def _report(loop: ControlLoop, q: Floats | None) -> str:
     return model_report(loop.dynamics, loop.joints, q, loop.limits)
+
+
+def answer_requests(node: LifecycleNode) -> None:
+    """
+    Answer waiting requests during a long callback, except for lifecycle transitions.
+
+    The executor finds the requests gone, and goes on.
+    """
+    for service in node.services:
+        if service.srv_type is ChangeState:
+            continue
+        with service.handle:
+            request, header = service.handle.service_take_request(service.srv_type.Request)
+        if request is not None:
+            service.send_response(service.callback(request, service.srv_type.Response()), header)
 
 
 def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:

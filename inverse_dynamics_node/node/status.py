@@ -270,7 +270,7 @@ def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monit
             'topic of the external efforts': around.topics[2],
             'measured efforts contain gravity': loop.measures_gravity,
             'scale of the measured efforts': loop.external_effort_estimator.scale[loop.index],
-            'scale': loop.scale,
+            'scale': loop.of_joint['effort_scale'],
             'limits [N m, N]': loop.limits,
             'cut to limit since the last report': monitor.cut,
             **{f'{joint} cut to limit': count for joint, count in monitor.cut_counts.items()},

@@ -67,7 +67,7 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
     efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
     index = joint_index(trajectory.joint_names, loop.robot.joint_names)
     scale, limits = np.ones_like(loop.collector.q), loop.robot.effort_limits.copy()
-    scale[loop.index], limits[loop.index] = loop.scale, loop.limits
+    scale[loop.index], limits[loop.index] = loop.of_joint['effort_scale'], loop.limits
     efforts = scale[index] * efforts
     is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
     filled = _write_trajectory(message, trajectory, efforts)

@@ -130,6 +130,20 @@ def test_lost_states_leave_the_ordinary_stop(run_node, robot, way):
     assert (np.diff(efforts, axis=0) <= 1e-9).all()
 
 
+def test_a_damped_deactivation_answers_services_and_hears_a_signal(run_node, robot):
+    node, motion = run_moving_arm(run_node, robot)
+    stop(robot, node, 'deactivate')
+    motion.wait_until_damped()
+    assert robot.set_parameter('start_ramp', 0.25).successful
+    assert not robot.call(SetBool, 'enable', SetBool.Request(data=True)).success
+    assert 'stop damping ended' not in node.output
+    node.interrupt()
+    robot.wait_for_text(node, 'signal received: the process ends after the stop')
+    motion.rest()
+    assert robot.wait_for_end(node) == 0
+    assert 'stop damping ended: the arm is at rest' in node.output
+
+
 def test_a_second_signal_ends_the_damping(run_node, robot):
     node, motion = run_moving_arm(run_node, robot)
     node.interrupt()

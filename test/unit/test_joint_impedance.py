@@ -113,15 +113,18 @@ def test_the_end_of_a_reference_causes_no_step():
 
 def test_the_largest_step_is_that_of_the_equilibrium():
     robot = arm(max_tracking_error=0.1)
-    far = Q + 0.3 * np.eye(2)[0]
+    pushed, beyond = (Q + way * np.eye(2)[0] for way in (0.09, 0.15))
     step(robot, 0.0)
-    # The arm was pushed far away, but the reference begins where it is held.
-    assert step(robot, 0.01, far, REST, reference(0.01, Q)) == pytest.approx(spring(far))
+    assert step(robot, 0.01, pushed, REST, reference(0.01, Q)) == pytest.approx(spring(pushed))
     assert robot.phase is Phase.RUNNING
-    assert step(robot, 0.02, far, REST, reference(0.02, far)) == pytest.approx(spring(far))
+    # Near the arm, but far from where it is held.
+    assert step(robot, 0.02, pushed, REST, reference(0.02, beyond)) == pytest.approx(
+        spring(pushed)
+    )
     assert robot.phase is Phase.HOLDING_TOO_FAR
-    near = Q + 0.09 * np.eye(2)[0]
-    assert step(robot, 0.03, far, REST, reference(0.03, near)) == pytest.approx(spring(far, near))
+    assert step(robot, 0.03, pushed, REST, reference(0.03, pushed)) == pytest.approx(
+        spring(pushed, pushed)
+    )
     assert robot.phase is Phase.RUNNING
 
 
