@@ -114,7 +114,7 @@ soak: $(VENV)/test.done
 network-faults: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.network_faults $(ARGS)
 
-# Takes about half an hour on two idle cores: ARGS='*.command_shaping.*' for one module.
+# Takes about half an hour on two idle cores: ARGS='*.shaping.*' for one module.
 mutation: $(VENV)/mutation.done
 	@$(CLEAN) $(BIN)/python test/mutation.py $(ARGS)
 

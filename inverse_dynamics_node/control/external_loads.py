@@ -71,8 +71,8 @@ class ExternalLoads:
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)), _IMU_CUTOFF)  # gravity and angular velocity
         self._has_jumped = False  # whether a load that was set since `update` may move efforts
-        self.is_timed = False
-        """Whether `update` has anything to do: a load was set, or may have to end."""
+        self.needs_update = False
+        """Whether a load was set, or may have to end, so that `update` has anything to do."""
         self._is_base_lost = True
         self._is_new_signal = False  # whether the next motion of the base restarts the filter
         self._write_base()
@@ -92,7 +92,7 @@ class ExternalLoads:
         pairs: Any = zip(payload, last, strict=True)
         if all(np.array_equal(one, other) for one, other in pairs):
             return False
-        self._has_jumped = self.is_timed = True
+        self._has_jumped = self.needs_update = True
         self.dynamics.set_payload(link, *payload)
         self.payloads.pop(link, None)
         if payload is not NO_PAYLOAD:
@@ -119,7 +119,7 @@ class ExternalLoads:
         self._wrench_times[link] = now
         is_new = not 0.0 <= age <= self.settings.wrench_timeout
         self._has_jumped |= is_new
-        self.is_timed = True
+        self.needs_update = True
         return is_new
 
     def set_gravity(self, gravity: ArrayLike, now: float = -math.inf) -> None:
@@ -137,7 +137,7 @@ class ExternalLoads:
         self._write_base()
         is_stream = 0.0 <= elapsed <= _GRAVITY_PERIOD
         largest = _GRAVITY_RATE * elapsed if is_stream else 0.0
-        self.is_timed = True
+        self.needs_update = True
         self._has_jumped |= float(np.linalg.norm(self.gravity - last)) > largest
 
     def set_base_motion(
@@ -163,7 +163,7 @@ class ExternalLoads:
         self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
         self._write_base()
         self._has_jumped |= was_lost
-        self.is_timed = True
+        self.needs_update = True
 
     def expect_new_signal(self) -> None:
         """Restart the filter at the next call of `set_base_motion`."""
@@ -189,7 +189,7 @@ class ExternalLoads:
                 del self._wrench_times[link]
                 self.dynamics.set_external_wrench(link, np.zeros(3), np.zeros(3))
                 has_jumped = True
-        self.is_timed = bool(self._wrench_times) or not self._is_base_lost
+        self.needs_update = bool(self._wrench_times) or not self._is_base_lost
         if self._is_base_lost or self.is_base_known(now):
             return has_jumped
         # Keep the last known gravity, but assume that the base has stopped rotating.
@@ -202,7 +202,7 @@ class ExternalLoads:
         """Include or exclude gravity and the acceleration of the base from now on."""
         if gravity is not self.include_gravity:
             self.include_gravity = gravity
-            self._has_jumped = self.is_timed = True
+            self._has_jumped = self.needs_update = True
             self._write_base()
 
     @contextmanager

@@ -38,7 +38,7 @@ _TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the n
 
 
 class Phase(enum.Enum):
-    """State of the controller."""
+    """What the control loop does."""
 
     WAITING = 'waiting for the first complete joint state'
     RUNNING = 'following the reference'
@@ -77,13 +77,13 @@ class Command(NamedTuple):
 
 class Supervisor:
     """
-    Decides what each command does: the phase of the controller.
+    Decides the phase of each command, and stops an arm that falls behind its reference.
 
     No efforts are computed before the first complete joint state, while joint states are lost,
-    while the controller is stopped, and after a limit stop. Joint states are considered lost while
-    the latest state is too old or inconsistent, and for a recovery time afterwards. Without the
-    recovery time, intermittent states would shake the arm. A loss that ends before the efforts
-    have fallen noticeably needs no recovery time.
+    during a stop, and after a limit stop. Joint states are considered lost while the latest state
+    is too old, and for a recovery time afterwards. Without the recovery time, intermittent states
+    would shake the arm. A loss that ends before the efforts have fallen noticeably needs no
+    recovery time.
 
     ``joints`` and ``units`` are the names of the m commanded joints and the units of their
     positions.
@@ -156,7 +156,7 @@ class Supervisor:
             self.phase = Phase.STATE_LOST
         else:
             assert state is not None
-            self.phase = self._follow(now, state, reference, was_near)
+            self.phase = self._judge(now, state, reference, was_near)
             if self.is_behind and is_live:
                 self.stop_at_limit(self.is_behind)
                 self.phase = Phase.LIMIT_STOP
@@ -166,7 +166,7 @@ class Supervisor:
         """Record that the law has found no finite efforts."""
         self.phase = Phase.NO_SOLUTION
 
-    def _follow(
+    def _judge(
         self, now: float, state: State, reference: Reference | None, was_near: bool
     ) -> Phase:
         """Decide whether the reference is followed, and whether the arm has fallen behind it."""
@@ -477,7 +477,7 @@ class ControlLoop:
     def _inputs(self, now: float, is_live: bool) -> tuple[State | None, Events]:
         """Return the joint state, and bridge all changes of the inputs that are no motion."""
         state, events = self.collector.at(now)
-        if self.loads.is_timed and self.loads.update(now):
+        if self.loads.needs_update and self.loads.update(now):
             self.blend_model()
         if events.has_changed:
             self.blend()

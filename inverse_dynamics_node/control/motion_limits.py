@@ -97,10 +97,10 @@ class MotionLimits:
     arm floats, holds its position or is guided by hand, the limit is the fraction ``guiding`` of
     it. Efforts in the direction of motion fade over the last tenth of the limit, so that an arm
     that is pushed by hand becomes heavier. Whoever pushes on meets the resistance of the arm's
-    own weight and inertia. At twice the limit, the arm is stopped.
+    own weight and inertia. At twice this fraction, the arm is stopped.
 
-    A joint that follows a reference beyond its limit is driven by the efforts, so the arm is
-    stopped at once.
+    A joint that follows a reference at more than 1.1 times its limit is driven by the efforts, so
+    the arm is stopped as soon as two states agree.
 
     A one-sided spring and damper keeps each joint from its position limits. It begins ``margin``
     before the limit. It never pulls towards the limit, so it takes energy out of the motion.

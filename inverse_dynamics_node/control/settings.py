@@ -20,7 +20,7 @@ from ..robot.model import Floats
 
 
 class Mode(enum.Enum):
-    """How the controller uses the reference."""
+    """How the reference is used."""
 
     INVERSE_DYNAMICS = 'inverse_dynamics'
     """Use the accelerations of the reference."""
@@ -81,7 +81,7 @@ def setting(default: Any, summary: str, details: str = '', **properties: Any) ->
 
 @dataclass(frozen=True)
 class Settings:
-    """How the controller treats its inputs and outputs."""
+    """How the control loop treats its inputs and outputs."""
 
     mode: Mode = setting(
         Mode.INVERSE_DYNAMICS,

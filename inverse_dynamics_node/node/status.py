@@ -7,6 +7,7 @@ prints the problems that are new, and `watch` reads some of the values by their 
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -273,6 +274,7 @@ def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monit
             'scale': loop.of_joint['effort_scale'],
             'limits [N m, N]': loop.limits,
             'cut to limit since the last report': monitor.cut,
+            'pushed back from position limits': _pushed_back(loop),
             **{f'{joint} cut to limit': count for joint, count in monitor.cut_counts.items()},
             **{f'{joint} slowed': count for joint, count in monitor.slowed.items()},
         },
@@ -280,6 +282,14 @@ def _efforts(now: float, loop: ControlLoop, around: Surroundings, monitor: Monit
         (Level.WARN, f'effort cut to its limit: {_text(monitor.cut)}' if monitor.cut else ''),
         (Level.WARN, gains),
     )
+
+
+def _pushed_back(loop: ControlLoop) -> list[str]:
+    """Return the joints that a spring pushes away from a position limit."""
+    state = loop.collector.state()
+    if state is None:
+        return []
+    return list(compress(loop.joints, loop.motion_limits.springs(state)))
 
 
 def _model(loop: ControlLoop, imu: str) -> Part:

@@ -382,6 +382,12 @@ def test_counts_continue_after_a_report_and_lists_do_not():
     assert node.status()['messages'].message == 'messages rejected in total: 1000'
 
 
+def test_joints_that_a_spring_pushes_back_are_named():
+    for margin, names in ((0.0, 'none'), (10.0, f'{JOINTS[0]}, {JOINTS[1]}')):
+        values = fresh(limit_stiffness=5.0, limit_margin=margin).status()['efforts'].values
+        assert values['pushed back from position limits'] == names
+
+
 def test_without_a_robot_there_are_three_parts():
     around = FINE._replace(is_active=False, state='unconfigured')
     status = describe_node(0.0, None, around, Monitor())
