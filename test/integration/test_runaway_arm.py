@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from robot_files import ROOT
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
-from test_soft_stop import PATIENCE, run_moving_arm, ZERO
+from test_soft_stop import LATCHED, PATIENCE, run_moving_arm, ZERO
 
 ARM = ROOT / 'test/robots/seven_dof.urdf'
 JOINTS = load_urdf(ARM).joint_names
@@ -57,13 +57,9 @@ def simulated(domain_id):
         process.wait(PATIENCE)
 
 
-@pytest.mark.parametrize('fault', ['sign', 'order'])
-def test_wrong_commands_stop_the_arm(domain_id, run_node, robot, fault):
-    """One command with the wrong sign, and commands in alphabetical order."""
-    pytest.importorskip('mujoco')
-    order = np.argsort(JOINTS) if fault == 'order' else np.arange(len(JOINTS))
-    factor = np.ones(len(JOINTS))
-    factor[JOINTS.index('elbow')] = -1.0 if fault == 'sign' else 1.0
+def relay_commands(robot, faulty='', order=slice(None)):
+    """Pass commands on to the simulated robot, with a wrong sign or in another order."""
+    factor = np.where(np.array(JOINTS) == faulty, -1.0, 1.0)
     relay = robot.node.create_publisher(Float64MultiArray, 'relay/commands', 10)
     robot.node.create_subscription(
         Float64MultiArray,
@@ -71,6 +67,14 @@ def test_wrong_commands_stop_the_arm(domain_id, run_node, robot, fault):
         lambda m: relay.publish(Float64MultiArray(data=(factor * m.data)[order].tolist())),
         10,
     )
+
+
+@pytest.mark.parametrize('fault', ['sign', 'order'])
+def test_wrong_commands_stop_the_arm(domain_id, run_node, robot, fault):
+    """One command with the wrong sign, and commands in alphabetical order."""
+    pytest.importorskip('mujoco')
+    faults = {'sign': {'faulty': 'elbow'}, 'order': {'order': np.argsort(JOINTS)}}
+    relay_commands(robot, **faults[fault])
     states = robot.listen(JointState, 'joint_states')
     with simulated(domain_id):
         robot.wait_until(lambda: states, 'the simulated robot')
@@ -78,3 +82,21 @@ def test_wrong_commands_stop_the_arm(domain_id, run_node, robot, fault):
         robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
         robot.wait_for_text(node, ': stopped: ')
         robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+
+
+def test_damping_that_drives_the_base_yaw_is_stopped(domain_id, run_node, robot):
+    """The yaw carries no weight, so that a wrong sign shows only in motion."""
+    pytest.importorskip('mujoco')
+    relay_commands(robot, JOINTS[0])
+    held = []
+    robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
+    parameters = {'start_ramp': 0.1, 'state_timeout': 0.5, 'stop_damping': 50.0}
+    with simulated(domain_id):
+        node = run_node(robot_description_file=str(ARM), **parameters)
+        robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+        assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+        robot.wait_for_text(node, ': stopped: ')
+        robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+        reason = node.output.partition(': stopped: ')[2]
+        assert reason.startswith(JOINTS[0])
+        assert 'moved at' in reason
