@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
-from ..robot.model import Booleans, Floats, RobotModel
+from ..robot.model import Floats, RobotModel
 from .filters import LowPass
 from .joint_states import LATE_AFTER, State
 from .settings import Mode, Settings
@@ -56,6 +56,7 @@ class Law:
         self.dynamics = dynamics
         self._index = _compact_index(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
+        self._has_turns = bool(self._is_continuous.any())
         n = len(dynamics.robot.joint_names)
         self._qdd, self._tau, self._rest = np.zeros((3, n))
         self.velocities: Floats = self._rest
@@ -121,7 +122,11 @@ class Law:
 
     def distance(self, start: Floats, target: Floats) -> Floats:
         """Return target minus start, shape (m,); continuous joints take the shorter way."""
-        return shorter_way(target - start, self._is_continuous)
+        way: Floats = target - start
+        if self._has_turns:
+            turns = 2.0 * math.pi * np.round(way / (2.0 * math.pi))
+            way = np.where(self._is_continuous, way - turns, way)
+        return way
 
     def _smooth(self, now: float, state: State) -> Floats:
         """Filter the measured velocities."""
@@ -254,12 +259,6 @@ LAWS: dict[Mode, type[Law]] = {
     Mode.GRAVITY_COMPENSATION: HandGuiding,
 }
 """The law of each mode."""
-
-
-def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
-    """Remove the full turns of continuous joints from distances, shape (m,) [rad or m]."""
-    turns = np.round(distance / (2.0 * math.pi))
-    return np.where(is_continuous, distance - 2.0 * math.pi * turns, distance)
 
 
 def _compact_index(index: list[int]) -> Any:
