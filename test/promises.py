@@ -220,7 +220,7 @@ class Promises:
             return
         require(settings is not None, 'damping without fresh states', added)
         self.damped += 1
-        scale, qd = self.node.settings.effort_scale, loop.collector.qd
+        scale, qd = settings.effort_scale, loop.collector.qd
         self.fastest = np.maximum(self.fastest, np.abs(qd))
         require(qd @ added / scale <= ROUNDING, 'damping drives the arm', added)
         # Parallel to the momenta of the commanded joints, and no faster than it was requested.
