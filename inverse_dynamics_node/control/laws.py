@@ -141,8 +141,7 @@ class Law:
 
     def _efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> Floats | None:
         try:
-            with np.errstate(all='ignore'):
-                inputs = self._inputs(q, qd, reference)
+            inputs = self._inputs(q, qd, reference)
             self.velocities, self._qdd[self._index], self.added = inputs
             self.dynamics.efforts(q, self.velocities, self._qdd, out=self._tau)
         except JointStateError:
@@ -172,6 +171,7 @@ class ComputedTorque(Law):
     def _lead(self, state: State, reference: Reference | None) -> None:
         self.equilibrium = reference.positions if reference else None
 
+    @np.errstate(all='ignore')
     def _inputs(
         self, q: Floats, qd: Floats, reference: Reference | None
     ) -> tuple[Floats, Floats | float, Floats]:
@@ -210,6 +210,7 @@ class JointImpedance(Law):
         elif self.equilibrium is None:
             self.equilibrium = state.q[self._index].copy()
 
+    @np.errstate(all='ignore')
     def _inputs(
         self, q: Floats, qd: Floats, reference: Reference | None
     ) -> tuple[Floats, Floats | float, Floats]:
@@ -240,6 +241,7 @@ class HandGuiding(Law):
         super().apply(settings, of_joint)
         self._is_damped = bool(of_joint['guiding_damping'].any())
 
+    @np.errstate(all='ignore')
     def _inputs(
         self, q: Floats, qd: Floats, reference: Reference | None
     ) -> tuple[Floats, Floats | float, Floats]:

@@ -256,8 +256,8 @@ class CommandShaper:
         if is_start:
             self._has_repeated = False
             self._start_blend()
-        left, repeats = self._rest_of_blend()
-        if not repeats:
+        left, repeats = self._rest_of_blend() if self._left else (0.0, False)
+        if gain < 1.0 and not repeats:
             gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
         are_finite: bool = blend_efforts(
             tau, self._rows, self._flags, gain, left, self._is_new, self._has_rates, elapsed
