@@ -134,6 +134,7 @@ class Sequence:
         self.node = node_type(pick.choice([0, 0, 200, 100]), pick.random() < 0.2, pick)
         self.promises = Promises(self.node)
         self.offset = np.zeros(N)  # of the reported positions
+        self.lag = pick.choice([0.0, 0.0, 0.03, 0.06])  # [s]; of all states as a whole
         self.next_state = self.next_tick = self.last_imu = self.steady
         self.events = 0
         self.wrench, self.acceleration, self.distance = None, None, None
@@ -215,7 +216,7 @@ class Sequence:
     def send_state(self, measured, joints=None, offset=0.0):
         """Send the joint state that was measured at a steady time."""
         self.events += 1
-        q, qd = self.arm.at(measured)
+        q, qd = self.arm.at(measured - self.lag)
         q = q + self.offset + offset
         joints = range(N) if joints is None else joints
         names = [NAMES[k] for k in joints]

@@ -27,6 +27,7 @@ ARMS = {
     ),
 }
 STOP = 0.2  # [s]; when the arm is stopped
+PAUSES = 0.25  # [s]; from one pause of the joint states to the next
 DELAY, NOISE = 0.005, 0.01  # [s], [rad/s]; of the measured velocities
 
 
@@ -49,6 +50,8 @@ class SoftStop:
         Factor of the measured velocities: -1 for a driver with the wrong sign.
     lost_at : float
         Time of the last joint state; commands continue.
+    pause : float
+        Length of pauses of the joint states [s]; commands continue.
     speeds : float
         Velocities at the start are uniform between minus and plus this [rad/s].
     **settings
@@ -56,7 +59,9 @@ class SoftStop:
 
     """
 
-    def __init__(self, arm, rate, sign=1.0, lost_at=np.inf, speeds=0.0, seed=0, **settings):
+    def __init__(
+        self, arm, rate, sign=1.0, lost_at=np.inf, speeds=0.0, pause=0.0, seed=0, **settings
+    ):
         from inverse_dynamics_node.simulation.mujoco import MujocoRobot
 
         path, self.tip, start = ARMS[arm]
@@ -65,7 +70,7 @@ class SoftStop:
         self.loop = ControlLoop(self.robot, settings=Settings(start_ramp=0.0, **settings))
         self.loop.start()
         self.dynamics = InverseDynamics(self.robot)
-        self.rate, self.sign, self.lost_at = rate, sign, lost_at
+        self.rate, self.sign, self.lost_at, self.pause = rate, sign, lost_at, pause
         self.random = np.random.default_rng(seed)
         slow = self.robot.velocity_limits < 1.0  # fingers
         qd = np.where(slow, 0.0, self.random.uniform(-speeds, speeds, len(start)))
@@ -82,7 +87,7 @@ class SoftStop:
             self._measured.append(qd)
             late = self._measured[max(0, len(self._measured) - 1 - round(DELAY * self.rate))]
             noise = NOISE * self.random.standard_normal(len(q))
-            if self.time <= self.lost_at:
+            if self.time <= self.lost_at and (self.time + 0.1) % PAUSES >= self.pause:
                 store_state(
                     loop.collector, self.time, robot.joint_names, q, self.sign * late + noise
                 )

@@ -415,6 +415,14 @@ def test_the_tip_of_a_horizontal_arm_sinks_slowly(arm, rate):
     assert not stop.report
 
 
+@arms
+@pytest.mark.parametrize('pause', [0.012, 0.03, 0.06])
+def test_damping_returns_slowly_after_pauses_of_the_states(arm, pause):
+    stop = simulated(arm, 200, pause=pause).run(STOP + 1.5)
+    rises = np.diff(np.abs(stop.commands), axis=0).max(axis=0)
+    assert (rises <= 0.1 * stop.robot.effort_limits).all()
+
+
 @pytest.mark.long
 @arms
 @rates
