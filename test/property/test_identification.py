@@ -73,7 +73,7 @@ def test_the_calibrated_urdf_has_the_fitted_efforts(stanford):
 
 def normalized_errors(result, real):
     """Return the errors of the base parameters, divided by their standard errors."""
-    free = identified_bodies(result.robot, ())
+    free = identified_bodies(result.robot)
     joints = list(range(len(result.joints)))
     problem = IdentificationProblem(free, joints, np.array(STANDARD_GRAVITY), None, False)
     base = base_parameters(problem.at_random_states())
