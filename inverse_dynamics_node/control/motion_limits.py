@@ -53,7 +53,7 @@ _LONGEST_PAUSE, _PAUSE, _TOGETHER = 0.1, 0.02, 5e-4  # [s]
 # the speed limit. Messages may be late by _LATENESS, but not after a pause of _LONGEST_PAUSE. The
 # speed limit is taken to be within _SPEEDS: at least, by default, and at most.
 _FACTOR, _LATENESS = 2.0, 0.03  # [speed limits], [s]
-_SPEEDS = {True: (0.1, 2.0, 5.0), False: (1.0, 10.0, 30.0)}  # [m/s] if prismatic, else [rad/s]
+_SPEEDS = ((0.1, 2.0, 5.0), (1.0, 10.0, 30.0))  # [m/s] of prismatic joints, [rad/s] of others
 _LARGEST_STEP = 1e6  # [rad or m]; larger steps are cut to this size
 # Rows of `MotionLimits._rows`. The first m columns belong to the commanded joints.
 _ROWS = 19
@@ -99,13 +99,14 @@ class MotionLimits:
     that is pushed by hand becomes heavier. Whoever pushes on meets the resistance of the arm's
     own weight and inertia. At twice this fraction, the arm is stopped.
 
-    A joint that follows a reference at more than 1.1 times its limit is driven by the efforts, so
-    the arm is stopped as soon as two states agree.
+    A joint that follows a reference at more than 1.1 times its limit is driven by the efforts. The
+    arm is then stopped, unless the joint becomes slower.
 
     A one-sided spring and damper keeps each joint from its position limits. It begins ``margin``
     before the limit. It never pulls towards the limit, so it takes energy out of the motion.
 
-    A change of position at more than twice the speed limit is no motion: the efforts would step.
+    A position that changes at more than twice the speed limit is a jump, and not a motion. The
+    caller must then blend the efforts.
     This is the only thing that is observed of the joints that are not commanded.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
@@ -118,10 +119,7 @@ class MotionLimits:
         joints = [*index, *(i for i in range(len(robot.joint_names)) if i not in index)]
         self._rows = np.zeros((_ROWS, len(joints)))
         self._rows[_INDEX], self._rows[_IS_CONTINUOUS] = joints, robot.is_continuous[joints]
-        for k, i in enumerate(joints):
-            least, usual, most = _SPEEDS[bool(robot.is_prismatic_joint[i])]
-            speed = robot.velocity_limits[i]
-            self._rows[_FASTEST, k] = min(max(least, speed if speed < math.inf else usual), most)
+        self._rows[_FASTEST] = _plausible(robot.velocity_limits, robot.is_prismatic_joint)[joints]
         self._rows[_TIME] = -math.inf
         self._commanded = self._rows[:, : len(index)]  # a view
         self._of_urdf = self._commanded[_FASTEST].copy()
@@ -147,7 +145,8 @@ class MotionLimits:
         """
         robot = self._dynamics.robot
         self._commanded[_SPEED], self._guiding = speed, guiding
-        self._commanded[_FASTEST] = np.maximum(self._of_urdf, np.minimum(speed, 30.0))
+        fastest = _plausible(speed, robot.is_prismatic_joint[self._index])
+        self._commanded[_FASTEST] = np.maximum(self._of_urdf, fastest)
         self._stiffness = stiffness
         self._lower = robot.lower[self._index] + margin
         self._upper = robot.upper[self._index] - margin
@@ -238,6 +237,13 @@ class MotionLimits:
         return text
 
 
+def _plausible(speed: Floats, is_prismatic: Any) -> Floats:
+    """Return speed limits within `_SPEEDS`; the default replaces an infinite limit."""
+    least, usual, most = np.where(is_prismatic, *np.array(_SPEEDS)[:, :, None])
+    limits: Floats = np.clip(np.where(np.isfinite(speed), speed, usual), least, most)
+    return limits
+
+
 @compiled
 def observe_joints(
     rows: Any,
@@ -300,20 +306,20 @@ def observe_joints(
             continue
         speed = rows[_SPEED, k]
         room = 2.0 * speed * _BURST + _COARSE
-        if rows[_IS_KNOWN, k] == 0.0 or not 0.0 <= elapsed <= _LONGEST:
+        is_known = rows[_IS_KNOWN, k] != 0.0 and 0.0 <= elapsed <= _LONGEST
+        is_jump = False
+        if is_known:
+            rows[_JUMPS, k] = max(0.0, rows[_JUMPS, k] - elapsed)
+            fastest = max(speed, abs(velocity), abs(last))
+            is_jump = abs(step) > room + 2.0 * fastest * elapsed
+        if is_jump:
+            rows[_JUMPS, k] += 1.0
+            finding, found[0], found[1] = 4 if rows[_JUMPS, k] > _MOST_JUMPS else 3, k, step
+        if is_jump or not is_known:
             rows[_IS_KNOWN, k] = 1.0
             rows[_PACE:_ROOM_ABOVE, k] = 0.0
             rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)  # old states may follow
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
-            continue
-        rows[_JUMPS, k] = max(0.0, rows[_JUMPS, k] - elapsed)
-        fastest = max(speed, abs(velocity), abs(last))
-        if abs(step) > room + 2.0 * fastest * elapsed:
-            rows[_PACE:_ROOM_ABOVE, k] = 0.0
-            rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)
-            rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
-            rows[_JUMPS, k] += 1.0
-            finding, found[0], found[1] = 4 if rows[_JUMPS, k] > _MOST_JUMPS else 3, k, step
             continue
         limit = factor * speed
         shown = step / max(elapsed, _SHORTEST)
@@ -360,8 +366,9 @@ def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> 
     Reduce efforts that drive joints at their speed limits.
 
     ``added`` has one value for each commanded joint, and is changed in place. ``factor`` is the
-    limit as a multiple of the speed limit. An effort returns slowly, within `_RETURN`, so that it
-    does not chatter. ``elapsed`` is the time step of ramps [s].
+    limit as a multiple of the speed limit. An effort falls within `_QUICK_RETURN` at the fastest,
+    so that it does not step. It returns within `_RETURN`, so that it does not chatter. ``elapsed``
+    is the time step of ramps [s].
 
     """
     for k in range(len(added)):

@@ -1,5 +1,7 @@
 """Positions that change faster than a joint can move are told from motion, however it arrives."""
 
+from dataclasses import replace
+
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.motion_limits import MotionLimits
 import numpy as np
@@ -96,3 +98,12 @@ def test_a_clock_that_is_set_back_leaves_no_time_for_motion():
     q = np.zeros((3, N))
     q[2, 1] = 0.01
     assert jumps([9.0, 9.005, 1.0], q) == [False, False, True]
+
+
+@pytest.mark.parametrize('robot', [ROBOT, SLIDER])
+def test_a_joint_without_a_speed_limit_has_the_default(robot):
+    n = len(robot.joint_names)
+    free = replace(robot, velocity_limits=np.full(n, np.inf))
+    q = np.zeros((2, n))
+    q[1, 0] = 1.0
+    assert jumps([0.0, 0.005], q, robot=free) == [False, True]
