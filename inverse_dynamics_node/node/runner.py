@@ -260,8 +260,10 @@ class LoopRunner:
             try:
                 serve()
             except Exception as error:  # perhaps the error that caused the stop
-                damping.end()
-                self._report_damping(f'an error in the program ({error!r})')
+                serve = lambda: None  # noqa: E731 -- it would fail again
+                if damping.is_active:
+                    damping.end()
+                    self._report_damping(f'an error in the program ({error!r})')
             is_due = period or loop.collector.time != last_state or not damping.is_active
             if not is_due and self.now() < self._last_step + self._watch_period:
                 continue
