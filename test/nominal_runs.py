@@ -6,8 +6,8 @@ that the arm really had. The default is ten minutes of simulated time for each r
 
 A run is a sequence of scenes with random poses, modes and conditions. An arm follows sines at up
 to `FASTEST` of its speed limits, or is pushed by a hand. Where the condition lets the arm leave
-the reference, the sines are slower. A limit stop is no false alarm if the arm really was beyond
-its limit, or as far from its reference, for example because it carries an unknown payload.
+the reference, the sines are slower. A limit stop is right in two cases: the arm was really beyond
+its speed limit, or it was really far from its reference. An unknown payload can cause both.
 """
 
 import sys
@@ -74,7 +74,7 @@ class NominalRun:
             hardware.set_payload(self.tip, self._payload(loop, sine))
         if condition == 'friction':
             friction = FRICTION * self.limits
-            if follows:  # no more than what feedback overcomes at a fifth of max_tracking_error
+            if follows:  # feedback must overcome it at a fifth of max_tracking_error
                 pull = 100.0 * 0.1 * self.unit * loop.dynamics.mass_matrix(q).diagonal()
                 friction = np.minimum(friction, 0.5 * pull)
             hardware._model.dof_frictionloss[hardware._order] = friction

@@ -87,7 +87,9 @@ class ExternalLoads:
 
         """
         self.dynamics.robot.link_index(link)
-        payload = read_payload(mass, com, inertia) if mass else NO_PAYLOAD
+        payload = read_payload(mass, com, inertia)
+        if not payload.mass:
+            payload = NO_PAYLOAD
         last = self.payloads.get(link, NO_PAYLOAD)
         pairs: Any = zip(payload, last, strict=True)
         if all(np.array_equal(one, other) for one, other in pairs):

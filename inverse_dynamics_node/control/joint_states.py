@@ -58,9 +58,10 @@ class Events(NamedTuple):
     """
     Whether what is known of a joint has changed. The possible causes are:
 
-    - An uncommanded joint has become late, or is no longer late.
+    - The states of an uncommanded joint have become late, or arrive in time again.
     - A locked joint was reported for the first time.
-    - The velocity of a joint was reported for the first time, or is no longer reported.
+    - The velocity of a joint was reported for the first time.
+    - The velocity of a joint is missing in new reports.
     """
     lost_velocities: tuple[str, ...] = ()
     """Joints whose velocities are no longer reported."""

@@ -236,11 +236,6 @@ class HandGuiding(Law):
 
     uses_reference = False
 
-    def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
-        """Change the settings; ``of_joint`` is the result of `Settings.expanded`."""
-        super().apply(settings, of_joint)
-        self._is_damped = bool(of_joint['guiding_damping'].any())
-
     @np.errstate(all='ignore')
     def _inputs(
         self, q: Floats, qd: Floats, reference: Reference | None
@@ -249,9 +244,8 @@ class HandGuiding(Law):
         if self.dynamics.has_drive_terms:
             friction = self.dynamics.effort_terms(q, qd, self._rest).friction
             added = self._of_joint['friction_scale'] * friction[self._index]
-        if self._is_damped:
-            added = added - self._of_joint['guiding_damping'] * qd[self._index]
-        return self._rest, 0.0, added
+        damping = self._of_joint['guiding_damping'] * qd[self._index]
+        return self._rest, 0.0, added - damping
 
 
 LAWS: dict[Mode, type[Law]] = {

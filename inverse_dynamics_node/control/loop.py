@@ -286,7 +286,8 @@ class ControlLoop:
         self.drive = DriveReference()
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.measured_gravity = MeasuredGravity.AS_COMMANDED
-        self.apply(settings or Settings())
+        self.settings = settings or Settings()
+        self.apply(self.settings)
 
     def apply(self, settings: Settings) -> None:
         """
@@ -298,8 +299,9 @@ class ControlLoop:
 
         """
         of_joint, robot = settings.expanded(len(self.joints)), self.robot
-        last = getattr(self, 'settings', settings)
-        has_same_inputs = all(getattr(settings, x) == getattr(last, x) for x in _OF_INPUTS)
+        has_same_inputs = all(
+            getattr(settings, name) == getattr(self.settings, name) for name in _OF_INPUTS
+        )
         limits = of_joint['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, robot.effort_limits[self.index])

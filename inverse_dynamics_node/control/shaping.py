@@ -51,6 +51,7 @@ class RampClock:
         self._longest = max(NOMINAL_STEP, period)
         self._now = math.inf
         self._settling = 0.0  # [s]
+        self._before = 0.0  # [s]; interval before `since`
         self.since = 0.0
         """Time since the last command [s]; 0 after the clock was set back."""
         self.step = 0.0
@@ -66,12 +67,12 @@ class RampClock:
 
         A blend begins with the first command after `start`, and again with each command in
         the 0.2 s after an interruption. Possible interruptions are a suspended process, a stalled
-        machine and a jump of the clock. A long interval after another one is none.
+        machine and a jump of the clock. A long interval after two others is none.
 
         """
         since, self._now = now - self._now, now
-        usual = max(_LEAST_PAUSE, _PAUSE * self._longest, 2.0 * self.since)
-        self.since = max(since, 0.0)
+        usual = max(_LEAST_PAUSE, _PAUSE * self._longest, 2.0 * min(self._before, self.since))
+        self._before, self.since = self.since, max(since, 0.0)
         self.step = min(self.since, self._longest)
         if 0.0 <= since <= usual:
             is_interrupted = self._settling > 0.0

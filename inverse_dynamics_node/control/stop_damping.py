@@ -144,7 +144,7 @@ class StopDamping:
         interval = now - self._turned
         self._shaken = np.where(turns, (interval < _SHAKING) * (self._shaken + 1.0), self._shaken)
         delay = np.min(interval, where=turns & (self._shaken > 1.0), initial=_SHAKING)
-        if delay < _SHAKING:
+        if 0.0 < delay < _SHAKING:
             self._largest = min(self._largest, _PERMITTED / delay)
         self._turned = np.where(turns, now, self._turned)
         self._direction = np.where(turns, -self._direction, self._direction)

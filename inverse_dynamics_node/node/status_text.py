@@ -1,4 +1,4 @@
-"""Describes in words what the control loop does, and the problems of its inputs."""
+"""Puts into words what the control loop does, and what is wrong with its inputs."""
 
 from __future__ import annotations
 
