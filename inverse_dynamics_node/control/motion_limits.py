@@ -38,17 +38,13 @@ _COARSE = 0.02  # [rad or m]; steps of coarse encoders
 _MOST_JUMPS = 2.5  # jumps within about a second, before positions are said to alternate
 _LONGEST = 0.5  # [s]; after a longer interval between states, the history begins anew
 # Velocities contradict positions if the integral of the velocity differs from the change of
-# position. The permitted difference is a constant plus a fraction of the larger value plus an
-# allowance. Changes older than about a second are forgotten, so that noise does not add up. In
-# simulations with a delay of 5 ms and a noise of 0.01 rad/s, the constant had to be at least 0.003
-# for a stop from rest, and 0.015 for a stop from up to 2 rad/s, without the allowance.
-_LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], no unit, [s]
-# After a pause of the computer, joint states arrive together, and the first of them are old. The
-# allowance permits this. It is the time between two states, at most _LONGEST_PAUSE, multiplied by
-# the smaller of their speeds, so that a single wrong velocity does not increase it. The largest
-# product counts, or the root of the sum of squares after pauses longer than _PAUSE. The motion
-# that states show within _TOGETHER is permitted too. The allowance fades within about a second.
-_LONGEST_PAUSE, _PAUSE, _TOGETHER = 0.1, 0.02, 5e-4  # [s]
+# position. The permitted difference is a constant, plus a fraction of the larger value, plus a
+# fraction of the way to and fro. Changes older than about a second are forgotten, so that noise
+# does not add up. The way to and fro counts because the times of arrival are not those of the
+# measurement: joint states may arrive together after a pause, or from a simulation that runs more
+# slowly for a moment.
+_LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.35, 1.0  # [rad or m], no unit, [s]
+_OF_PATH, _LONGEST_PAUSE = 0.15, 0.1  # no unit, [s]
 # A change of position is a step of the efforts, not motion, if it is faster than this multiple of
 # the speed limit. Messages may be late by _LATENESS, but not after a pause of _LONGEST_PAUSE. The
 # speed limit is taken to be within _SPEEDS: at least, by default, and at most.
@@ -60,7 +56,7 @@ _ROWS = 19
 _INDEX, _SPEED, _IS_CONTINUOUS, _FASTEST, _TIME, _POSITION, _VELOCITY, _SHARE = range(8)
 # The history of a joint; see `observe_joints`.
 _ABOVE, _BELOW, _JUMPS, _PACE, _OVER, _WAY = range(8, 14)
-_INTEGRAL, _ALLOWANCE, _ROOM_ABOVE, _ROOM_BELOW, _IS_KNOWN = range(14, _ROWS)
+_INTEGRAL, _PATH, _ROOM_ABOVE, _ROOM_BELOW, _IS_KNOWN = range(14, _ROWS)
 
 
 class Finding(enum.IntEnum):
@@ -271,8 +267,8 @@ def observe_joints(
     - `_JUMPS`: the number of jumps within about a second
     - `_PACE`: the velocity, or that of the positions if no velocity is measured
     - `_OVER`: the time for which the velocity has exceeded the stop limit
-    - `_WAY`, `_INTEGRAL`, `_ALLOWANCE`: change of position, integral of the velocity, and the
-      permitted difference, over about a second
+    - `_WAY`, `_INTEGRAL`, `_PATH`: change of position, integral of the velocity, and the way to
+      and fro, over about a second
     - `_ROOM_ABOVE`, `_ROOM_BELOW`: like `_ABOVE` and `_BELOW`, for the stop limit and for states
       that are delayed for longer
     - `_IS_KNOWN`: 0 if the rows from `_JUMPS` on have to begin anew
@@ -318,7 +314,7 @@ def observe_joints(
         if is_jump or not is_known:
             rows[_IS_KNOWN, k] = 1.0
             rows[_PACE:_ROOM_ABOVE, k] = 0.0
-            rows[_ALLOWANCE, k] = _LONGEST_PAUSE * abs(velocity)  # old states may follow
+            rows[_PATH, k] = _LONGEST_PAUSE / _OF_PATH * abs(velocity)  # old states may follow
             rows[_ROOM_ABOVE, k] = rows[_ROOM_BELOW, k] = room
             continue
         limit = factor * speed
@@ -345,16 +341,9 @@ def observe_joints(
         memory = max(0.0, 1.0 - elapsed / _MEMORY)
         way = memory * (rows[_WAY, k] + step)
         integral = memory * (rows[_INTEGRAL, k] + 0.5 * elapsed * (last + velocity))
-        error = min(elapsed, _LONGEST_PAUSE) * min(abs(last), abs(velocity))
-        allowance = memory * rows[_ALLOWANCE, k]
-        if elapsed > _PAUSE:
-            allowance = math.sqrt(error**2 + allowance**2)
-        elif elapsed < _TOGETHER:
-            allowance += abs(step)
-        else:
-            allowance = max(error, allowance)
-        rows[_WAY, k], rows[_INTEGRAL, k], rows[_ALLOWANCE, k] = way, integral, allowance
-        bound = _LEAST_ERROR + _RELATIVE_ERROR * max(abs(way), abs(integral)) + allowance
+        path = memory * (rows[_PATH, k] + abs(step))
+        rows[_WAY, k], rows[_INTEGRAL, k], rows[_PATH, k] = way, integral, path
+        bound = _LEAST_ERROR + _RELATIVE_ERROR * max(abs(way), abs(integral)) + _OF_PATH * path
         if finding < 2 and not abs(way - integral) <= bound:
             finding, found[0], found[1] = 2, k, way
     return finding, jump

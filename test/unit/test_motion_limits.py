@@ -176,6 +176,16 @@ def test_velocities_that_contradict_positions_are_named(reported, is_dry_run):
     assert arm.loop.phase is (Phase.FLOATING if is_dry_run else Phase.LIMIT_STOP)
 
 
+def test_a_simulation_that_falls_behind_for_a_moment_contradicts_nothing():
+    """Joint states arrive 10 % more slowly than they were simulated while a joint moves back."""
+    arm = Arm(velocity_limits=2.0)
+    for t in np.arange(0.0, 10.0, PERIOD):
+        qd = 1.2 * np.cos(2.4 * t)
+        arm.now += 0.1 * PERIOD if qd < 0.0 else 0.0
+        arm.move((0.0, qd))
+        assert not arm.reason
+
+
 def test_a_jump_of_the_position_is_a_stop_only_with_feedback():
     for mode in Mode:
         arm = Arm(mode=mode)
