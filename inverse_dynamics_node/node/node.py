@@ -182,6 +182,9 @@ class InverseDynamicsNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start to send commands; the efforts rise from zero."""
         assert self._runner.loop is not None
+        if self._runner.objection and not self.configuration.dry_run:
+            self.get_logger().error(self._runner.objection)
+            return _FAILURE
         result = super().on_activate(state)
         if result == _SUCCESS:
             self._runner.start()
@@ -265,6 +268,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _find_subscribers(self) -> None:
         self._outputs.find_subscribers()
+        self._runner.find_controllers()
         change = self._graph.subscriber_change() if self._runner.is_active else ''
         if change:
             self.get_logger().info(change)
@@ -305,6 +309,9 @@ class InverseDynamicsNode(LifecycleNode):
                         'and clean up the node first'
                     )
             check_configuration(self._runner.loop, after)
+        is_beginning = before.dry_run and not after.dry_run
+        if is_beginning and not after.ignore_controller_joints and self._runner.objection:
+            raise ConfigurationError(f'the dry run goes on: {self._runner.objection}')
         self._next = after
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:

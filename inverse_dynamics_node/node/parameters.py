@@ -85,6 +85,12 @@ class Configuration(Settings):
         '`start_ramp`',
         default_note='false; true in the launch file',
     )
+    ignore_controller_joints: bool = parameter(
+        False,
+        'Send commands even if the controller says that it commands other joints',
+        'By default, no commands begin while a controller of ros2_control that receives them has '
+        'other `joints`, or the same in another order',
+    )
     autostart: bool = parameter(
         True,
         'Configure and activate once, as soon as there is a robot description',

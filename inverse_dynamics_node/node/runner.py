@@ -15,12 +15,14 @@ from rclpy.timer import Timer
 from ..control.loop import Command, COMPUTING_PHASES, ControlLoop
 from ..control.stop_damping import AT_REST
 from ..errors import listed, shortened_lines
+from ..ros.controllers import Controllers
 from ..ros.graph import Graph
 from .configure import apply_configuration
 from .log import NodeLog
 from .monitor import Monitor
 from .outputs import Outputs
 from .parameters import Configuration
+from .status_text import describe_controllers
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while joint states arrive
@@ -56,6 +58,7 @@ class LoopRunner:
         self._node, self.outputs, self.graph, self.log = node, outputs, graph, log
         self._clock, self._signals = clock, signals
         self.now = now
+        self.controllers = Controllers(node, outputs.commands)
         self.configuration = configuration
         self.loop: ControlLoop | None = None
         """The loop for the current robot description; None while the node is unconfigured."""
@@ -104,6 +107,30 @@ class LoopRunner:
         self.outputs.find_subscribers()
         self.log.begin()
         self.is_active = True
+
+    @property
+    def objection(self) -> str:
+        """Why no commands may begin: a controller expects other commands; '' if none does."""
+        if self.loop is None or self.configuration.ignore_controller_joints:
+            return ''
+        problem = describe_controllers(self.loop, self.controllers.known)
+        return f'{problem} (ignore_controller_joints overrides this)' if problem else ''
+
+    def find_controllers(self) -> None:
+        """
+        Ask new subscribers of the commands for their joints; stop if their joints are wrong.
+
+        The arm is not stopped because of a late answer, or while another controller agrees.
+        """
+        new = self.controllers.poll()
+        if not self.is_active or self.configuration.ignore_controller_joints:
+            return
+        assert self.loop is not None
+        loop, known = self.loop, self.controllers.known
+        has_friend = any(not describe_controllers(loop, [each]) for each in known)
+        problem = describe_controllers(loop, [each for each in new if not each.is_late])
+        if problem and not has_friend and not loop.dry_run.is_active:
+            loop.limit_stop(problem)
 
     def reject(self, topic: str, reason: object, what: str = 'message') -> None:
         """Log and count a message that cannot be used; `what` names the unusable part."""

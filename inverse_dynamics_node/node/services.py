@@ -37,6 +37,9 @@ class Services:
         if loop is None or not self._runner.is_active:
             response.message = 'the node is not active'
             return response
+        if request.data and self._runner.objection and not loop.dry_run.is_active:
+            response.message = self._runner.objection
+            return response
         self._runner.enable(is_enabled=request.data)
         response.success = True
         response.message = f'efforts ramp {"up" if request.data else "down to zero"}'

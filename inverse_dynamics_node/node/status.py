@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..control.loop import COMPUTING_PHASES, ControlLoop, Phase, TOO_FAR_PHASES
+from ..ros.controllers import Controller
 from ..ros.diagnostics import Level, NodeStatus, NONE, Part
 from ..ros.graph import OtherNodes, SimulatedClock
 from .monitor import Monitor
@@ -58,6 +59,10 @@ class Surroundings(NamedTuple):
     topics: tuple[str, str, str]
     """Topics joint_states, ~/joint_efforts and ~/external_efforts."""
     others: OtherNodes
+    controllers: list[Controller]
+    """The controllers among the receivers of the commands."""
+    objection: str
+    """Why no commands may begin, or ''."""
     clock: SimulatedClock | None
     """None unless the node uses simulated time."""
 
@@ -163,14 +168,17 @@ def _other_nodes(loop: ControlLoop | None, around: Surroundings) -> Part:
     # Nodes may take turns at publishing on a topic, but must never have the same name.
     is_sending = around.is_active and not (loop and loop.dry_run.is_active)
     level = Level.ERROR if is_sending or others.namesakes else Level.WARN
+    controllers = [f'{each.name}: {", ".join(each.joints)}' for each in around.controllers]
     return _part(
         'no other node publishes the commands or has this name',
         {
             'commands': others.commands,
             'subscribers of the commands': others.subscribers or None,
+            'joints of the controllers': '; '.join(controllers) or NONE,
             'other publishers of the commands': others.rivals or None,
             'other nodes with this name': others.namesakes,
         },
+        (Level.ERROR, around.objection),
         *((level, text) for text in problems),
     )
 

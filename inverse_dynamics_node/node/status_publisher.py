@@ -79,5 +79,7 @@ class StatusPublisher:
             inputs=(graph.with_publishers('joint_states'), graph.with_publishers('imu')),
             topics=(joint_states, efforts, external),
             others=graph.others(),
+            controllers=self._runner.controllers.known,
+            objection=self._runner.objection,
             clock=clock,
         )

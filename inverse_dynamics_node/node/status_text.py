@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from difflib import get_close_matches
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,12 +13,17 @@ from ..control.external_loads import IMU_TIMEOUT
 from ..control.joint_states import JointStateCollector
 from ..control.loop import ControlLoop, Phase, recovery_time, TOO_FAR_PHASES
 from ..control.settings import StalePolicy
+from ..errors import listed
 from ..robot.limit_checks import implausible_positions
 from ..robot.model import Floats
+
+if TYPE_CHECKING:
+    from ..ros.controllers import Controller
 
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
 _RECENT = 10.0  # [s]; a problem of the motion in a dry run is reported for this long
+_NO_EFFORTS = 'position', 'velocity', 'acceleration'  # command interfaces of ros2_control
 _TURN_ERROR = 0.05  # [turns]; of a position that is whole turns away from its reference
 
 
@@ -210,3 +217,31 @@ def describe_implausible(loop: ControlLoop) -> dict[str, str]:
     collector = loop.collector
     known = np.where(collector.times > -math.inf, collector.q, math.nan)
     return {found.joint: str(found) for found in implausible_positions(loop.robot, known)}
+
+
+def describe_controllers(loop: ControlLoop, controllers: Sequence[Controller]) -> str:
+    """Describe the controllers that expect other commands than the loop computes, or return ''."""
+    texts = (_describe_controller(loop, each) for each in controllers)
+    return '; '.join(text for text in texts if text)
+
+
+def _describe_controller(loop: ControlLoop, controller: Controller) -> str:
+    name, joints, interface = controller.name, controller.joints, controller.interface
+    if interface in _NO_EFFORTS:
+        return (
+            f"{name} takes the commands as '{interface}' of the joints, expected effort: set its "
+            'parameter interface_name to effort'
+        )
+    if joints == loop.joints:
+        return ''
+    if len(joints) != len(loop.joints):
+        text = f'{name} expects {len(joints)} efforts, but the node commands {len(loop.joints)}'
+    elif set(joints) == set(loop.joints):
+        text = f'{name} expects the efforts in another order than that of the node'
+    else:
+        text = f'{name} expects efforts for other joints than the node commands'
+    unknown = [joint for joint in joints if joint not in loop.robot.joint_names]
+    if unknown:
+        robot = f"robot '{loop.robot.name}'"
+        return f'{text}; {listed(unknown)}: no joint of {robot} that the node can command'
+    return f'{text}; set the parameter joints to [{", ".join(joints)}]'

@@ -169,6 +169,21 @@ class Graph:
         return sorted({_name_of(info) for info in infos})
 
 
+def subscribers_by_endpoint(node: LifecycleNode, publisher: Any) -> dict[bytes, str]:
+    """
+    Return the nodes that subscribe to the topic and type of a publisher, by subscription.
+
+    The keys identify the subscriptions. A subscription whose node is not known yet is missing.
+    """
+    kind = type_name(publisher.msg_type)
+    names = {
+        bytes(info.endpoint_gid): _name_of(info)
+        for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
+        if info.topic_type == kind
+    }
+    return {endpoint: name for endpoint, name in names.items() if name != _UNKNOWN}
+
+
 def type_name(message: type) -> str:
     """Return the name of a message type, such as 'sensor_msgs/msg/JointState'."""
     return f'{message.__module__.replace(".", "/").rpartition("/")[0]}/{message.__name__}'

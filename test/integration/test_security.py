@@ -72,8 +72,11 @@ def test_the_policy_covers_exactly_the_names_of_the_node(start):
         return InverseDynamicsNode(lambda: False, scheduling, worker, context=context)
 
     node = start(own_node)
-    for permitted, used in permissions(node.get_fully_qualified_name(), node):
+    *own, (requested, without_controller) = permissions(node.get_fully_qualified_name(), node)
+    for permitted, used in own:
         assert sorted(permitted) == sorted(used)
+    assert requested == ['/*/get_parameters']  # of the controllers that receive the commands
+    assert not without_controller
 
 
 def simulated_robot(context):
@@ -95,10 +98,11 @@ def test_the_policy_covers_programs_around_the_node(kind, enclave, start):
     assert len(node.get_service_names_and_types_by_node(node.get_name(), '/')) >= 7
 
 
-def test_only_the_operator_may_call_and_only_the_driver_publishes_states():
+def test_only_the_operator_may_call_the_node_and_only_the_driver_publishes_states():
     senders = [p for p, rules in ENCLAVES.items() if '/joint_states' in rules['topics publish']]
     assert senders == ['/driver']
-    assert [p for p, rules in ENCLAVES.items() if rules['services request']] == ['/operator']
+    callers = [p for p, rules in ENCLAVES.items() if rules['services request']]
+    assert callers == ['/inverse_dynamics', '/operator']
     replies = ENCLAVES['/inverse_dynamics']['services reply']
     assert set(ENCLAVES['/operator']['services request']) == set(replies)
     assert ENCLAVES['/watch']['topics publish'] == ['/parameter_events']

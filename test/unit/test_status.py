@@ -8,7 +8,7 @@ from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import Command, ControlLoop
 from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.shaping import DryRun
-from inverse_dynamics_node.node.status_text import describe_imu_frame
+from inverse_dynamics_node.node.status_text import describe_controllers, describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
 from inverse_dynamics_node.robot.model import ModelWarning
 import numpy as np
@@ -21,6 +21,7 @@ pytest.importorskip('rclpy')
 from builtin_interfaces.msg import Time
 from inverse_dynamics_node.node.monitor import lasting_silence, Monitor
 from inverse_dynamics_node.node.status import describe_node, Surroundings
+from inverse_dynamics_node.ros.controllers import Controller
 from inverse_dynamics_node.ros.diagnostics import (
     Level,
     NodeStatus,
@@ -52,6 +53,8 @@ FINE = Surroundings(
     inputs=('/joint_states (1 publisher)', '/imu (0 publishers)'),
     topics=('/joint_states', '/arm/joint_efforts', '/arm/external_efforts'),
     others=OtherNodes('/arm/commands'),
+    controllers=[],
+    objection='',
     clock=None,
 )
 CLOSED = Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE
@@ -562,6 +565,54 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
                 found = describe_imu_frame(loop, name, turned)
                 assert words in found
                 assert bool(found) is bool(words)
+
+
+@pytest.mark.parametrize(
+    ('joints', 'interface', 'words'),
+    [
+        (NAMES[:3], 'effort', ''),
+        (NAMES[:3], '', ''),
+        (
+            NAMES[2::-1],
+            'effort',
+            '/fec expects the efforts in another order than that of the node; set the parameter '
+            'joints to [joint_3, joint_2, joint_1]',
+        ),
+        (
+            NAMES[:2],
+            '',
+            '/fec expects 2 efforts, but the node commands 3; set the parameter joints to '
+            '[joint_1, joint_2]',
+        ),
+        (
+            (*NAMES[:2], NAMES[5]),
+            '',
+            '/fec expects efforts for other joints than the node commands; set the parameter '
+            'joints to [joint_1, joint_2, joint_6]',
+        ),
+        (
+            (*NAMES[:3], 'finger'),
+            '',
+            '/fec expects 4 efforts, but the node commands 3; finger: no joint of robot '
+            "'stanford' that the node can command",
+        ),
+        (
+            NAMES[:3],
+            'position',
+            "/fec takes the commands as 'position' of the joints, expected effort: set its "
+            'parameter interface_name to effort',
+        ),
+    ],
+)
+def test_controllers_with_other_joints_are_described(joints, interface, words):
+    loop = ControlLoop(ARM, NAMES[:3])
+    controller = Controller('/fec', tuple(joints), interface, is_late=False)
+    assert describe_controllers(loop, [controller]) == words
+    node = Node(ARM, NAMES[:3]).amid(controllers=[controller], objection=words)
+    status = node.status()['other nodes']
+    assert status.level is (ERROR if words else OK)
+    assert words in status.message
+    assert status.values['joints of the controllers'] == f'/fec: {", ".join(joints)}'
 
 
 def test_a_joint_that_is_whole_turns_away_from_its_reference_is_named():
