@@ -31,7 +31,7 @@ class UrdfError(InverseDynamicsError):
 
     def __init__(self, problems: Iterable[str], source: str = 'URDF') -> None:
         self.problems = tuple(problems)
-        self.source = source
+        self.source = shortened(source, 250)
         super().__init__(source, self.problems)
 
     def __str__(self) -> str:

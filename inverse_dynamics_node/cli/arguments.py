@@ -18,6 +18,7 @@ from ..errors import ConfigurationError, escaped, UrdfError
 from ..robot.kinematics import last_link
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
+from ..robot.urdf.xml import is_text
 from .console import output_path, picture_path, progress
 
 _WIDTH = 99
@@ -181,7 +182,7 @@ def read_source_text(path: Path | str) -> Path | str:
     if str(path) != '-':
         return path
     text = sys.stdin.read()
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # other text would be taken for a path
+    if not is_text(text):  # other text would be taken for a path
         raise UrdfError(['is not XML'], 'standard input')
     return text
 

@@ -9,10 +9,10 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
-from ..errors import ConfigurationError, shortened, UrdfError
+from ..errors import ConfigurationError, did_you_mean, listed, shortened, UrdfError
 from ..robot.model import RobotModel
 from ..robot.urdf import load_urdf
-from ..robot.urdf.xml import parse, read_source
+from ..robot.urdf.xml import is_text, parse, read_source
 from .parameters import Configuration
 
 _XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re.S)
@@ -33,7 +33,7 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
             'there is no robot description: none has arrived on the topic, and neither parameter '
             'robot_description nor robot_description_file is set'
         )
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open the text as a file
+    if not is_text(text):  # load_urdf would open the text as a file
         is_parameter = bool(configuration.robot_description)
         where = "parameter 'robot_description'" if is_parameter else 'the robot description'
         hint = '; for a file, set robot_description_file' if is_parameter else ''
@@ -68,7 +68,7 @@ def load_file(given: str) -> tuple[RobotModel, str]:
             is_relative = path == Path.cwd() / file
             where = f" (given as '{file}'{f' in {Path.cwd()}' if is_relative else ''})"
         if '.xacro ' in file:
-            where += '; arguments for xacro have the form NAME:=VALUE'
+            where += '; give arguments of xacro as NAME:=VALUE'
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
 
 
@@ -88,15 +88,47 @@ def _load_xacro(path: Path, arguments: dict[str, str]) -> tuple[RobotModel, str]
         raise ConfigurationError(
             f'{error}; install xacro (apt install ros-jazzy-xacro, or pip install xacro)'
         ) from None
+    given = _Arguments(arguments)
     try:
-        text = xacro.process_file(str(path), mappings=arguments).toprettyxml(indent='  ')
+        text = xacro.process_file(str(path), mappings=given).toprettyxml(indent='  ')
     except Exception as error:  # of any type: xacro evaluates Python expressions
-        raise ConfigurationError(f'xacro failed: {str(error) or repr(error)}') from None
+        raise ConfigurationError(f'xacro failed: {_message(error)}') from None
+    for name in arguments:
+        if name not in given.used:
+            declared = sorted(given.used)
+            text = (
+                f'the arguments are {listed(declared)}' if declared else 'there are no arguments'
+            )
+            hint = did_you_mean(name, declared)
+            raise ConfigurationError(f"xacro argument '{name}' is not declared; {text}{hint}")
     try:
         return load_urdf(text), text
     except UrdfError as error:
         # The line numbers in the problems refer to the output of xacro.
         raise UrdfError(error.problems, f'output of xacro for {path}') from None
+
+
+class _Arguments(dict[str, str]):
+    """The given arguments; `used` collects the names of those that the file asks for."""
+
+    def __init__(self, given: dict[str, str]) -> None:
+        super().__init__(given)
+        self.used: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.used.add(str(name))
+        return super().__contains__(name)
+
+
+def _message(error: Exception) -> str:
+    """Return the message of an error of xacro once, although it may contain that of its cause."""
+    own, cause = str(error.args[0] if error.args else ''), getattr(error, 'exc', None)
+    repeats = isinstance(cause, OSError) or (own and str(cause) in own)
+    text = ' '.join((own if repeats else str(error) or repr(error)).split())
+    text = re.sub(r"<class '[\w.]+'>: ", '', text).strip('"')
+    undefined = re.search(r'Undefined substitution argument (\w+)', text)
+    hint = f'; give it as {undefined[1]}:=VALUE after the file name' if undefined else ''
+    return text + hint
 
 
 def _text_of(path: Path) -> str:

@@ -72,33 +72,7 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 def rotation_of_origin(attributes: Mapping[str, str]) -> Floats:
     """Return the rotation matrix for the attributes of an ``<origin>``."""
-    rpy = attributes.get('rpy', '0 0 0')
-    if 'quat_xyzw' in attributes:
-        rpy = rpy_of_quaternion(attributes['quat_xyzw'])
-    return rotation_of_rpy(*(float(word) for word in rpy.split()))
-
-
-def rpy_of_quaternion(text: str) -> str:
-    """
-    Convert the text of an attribute ``quat_xyzw`` to the text of ``rpy`` [rad].
-
-    The quaternion must not be zero, but its norm need not be 1.
-
-    """
-    values = [float(word) for word in text.split()]
-    norm = math.hypot(*values)
-    x, y, z, w = (value / norm for value in values)
-    # R = Rz(yaw) Ry(pitch) Rx(roll). Near a pitch of 90 degrees, only the sum or the difference of
-    # roll and yaw is well defined. Any yaw is correct there, because the roll is computed from
-    # Rz(yaw)^T R.
-    r00, r10 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
-    r01, r11 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z)
-    r02, r12, r20 = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 2.0 * (x * z - w * y)
-    yaw = math.atan2(r10, r00)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    pitch = math.atan2(-r20, cos * r00 + sin * r10)
-    roll = math.atan2(sin * r02 - cos * r12, cos * r11 - sin * r01)
-    return f'{roll!r} {pitch!r} {yaw!r}'
+    return rotation_of_rpy(*(float(word) for word in attributes.get('rpy', '0 0 0').split()))
 
 
 # ---- The link that carries a payload -------------------------------------------------------

@@ -14,9 +14,14 @@ from .model import Floats, ModelWarning, RobotModel
 
 _FAR_BEYOND = 50.0
 """An effort limit above this multiple of the largest gravity effort is probably a placeholder."""
-_FEWEST_EQUAL, _FRACTION_EQUAL = 3, 0.8
+_LIGHTEST = 0.2
+"""A robot with less moving mass per cube of its reach [kg/m^3] does not exist."""
 _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
 """Effort limits [N m] that exporters write if the real limits are unknown."""
+_FEWEST_EQUAL = 3
+_SHORTEST_ARM = 5
+"""Chains with fewer revolute joints may be legs or fingers, which often have equal drives."""
+_LIMIT_HINT = 'write the largest effort of the joint, from the data sheet of its drive'
 
 
 def limit_subject(joint: str, quantity: str) -> str:
@@ -35,13 +40,53 @@ def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
     reported = {warning.subject for warning in robot.warnings}
     return (
         *(warning for warning in missing if warning.subject not in reported),
-        *_placeholders(robot),
+        # If all masses are far too small, the limits are not to blame.
+        *(_tiny_masses(robot) or _equal_limits(robot) or _excessive_limits(robot)),
     )
 
 
-def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
+def _tiny_masses(robot: RobotModel) -> tuple[ModelWarning, ...]:
+    """Return a warning if the robot is far too light for its size."""
+    mass = float(np.sum(robot.mass[1:]))
+    reach = float(np.max(_distances(robot, 0.0)[1:], initial=0.0))
+    if not 0.0 < mass < _LIGHTEST * reach**3:
+        return ()
+    text = (
+        f'the moving links weigh only {mass:.3g} kg together, but reach {reach:.3g} m; real '
+        'robots of this size are many times heavier'
+    )
+    hint = 'write masses in kg; CAD programs also export tonnes, or parts without a density'
+    return (ModelWarning(text, hint),)
+
+
+def _equal_limits(robot: RobotModel) -> tuple[ModelWarning, ...]:
     """
-    Return warnings about effort limits that look like placeholders.
+    Return a warning if most joints have one round limit, or all have one limit.
+
+    The drives of an arm become smaller towards the wrist. Equal modules have equal drives, and so
+    do many legs and fingers, which are shorter.
+
+    """
+    rated = robot.effort_limits[~robot.is_prismatic_joint & np.isfinite(robot.effort_limits)]
+    if not rated.size:
+        return ()
+    depth = np.zeros(len(robot.parent), int)
+    for body in range(1, len(robot.parent)):
+        is_counted = robot.body_names[body] in robot.joint_names and not robot.is_prismatic[body]
+        depth[body] = depth[robot.parent[body]] + is_counted
+    common, count = Counter(rated.tolist()).most_common(1)[0]
+    is_round = common in _ROUND_LIMITS and count >= max(_FEWEST_EQUAL, 0.8 * rated.size)
+    is_modular = np.min(robot.mass[1:]) == np.max(robot.mass[1:]) > 0.0
+    is_arm = np.max(depth) >= _SHORTEST_ARM and not is_modular
+    if not is_round and not (is_arm and count == rated.size):
+        return ()
+    text = f'{count} of {rated.size} effort limits of revolute joints are {common:g} N m'
+    return (ModelWarning(f'{text}, which looks like a placeholder', _LIMIT_HINT),)
+
+
+def _excessive_limits(robot: RobotModel) -> tuple[ModelWarning, ...]:
+    """
+    Return warnings about effort limits far above what gravity takes.
 
     Each limit is compared with the effort that would hold the whole robot stretched out
     horizontally. Gravity efforts are never larger, and motors are not oversized by orders of
@@ -49,39 +94,35 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     weight of its fingers.
 
     """
-    hint = 'write the largest effort of the joint, from the data sheet of its drive'
-    is_revolute = ~robot.is_prismatic_joint
-    limits = robot.effort_limits
-    rated = limits[is_revolute & np.isfinite(limits)]
-    if not rated.size:
-        return ()
-    most = _moment_of_weight(robot)
-    common, count = Counter(rated.tolist()).most_common(1)[0]
-    if common in _ROUND_LIMITS and count >= max(_FEWEST_EQUAL, _FRACTION_EQUAL * rated.size):
-        text = f'{count} of {rated.size} effort limits of revolute joints are {common:g} N m'
-        return (ModelWarning(f'{text}, which looks like a placeholder', hint),)
+    most = 9.81 * float(np.sum((robot.mass * _distances(robot, 1.0))[1:]))
+    rows = zip(robot.joint_names, robot.effort_limits, robot.is_prismatic_joint, strict=True)
     return tuple(
         ModelWarning(
             f'{limit:.7g} N m looks like a placeholder, because holding the whole robot '
             f'stretched out takes at most {most:.3g} N m',
-            hint,
+            _LIMIT_HINT,
             limit_subject(name, 'effort'),
         )
-        for name, limit, revolute in zip(robot.joint_names, limits, is_revolute, strict=True)
-        if revolute and most > 0.0 and _FAR_BEYOND * most < limit < math.inf
+        for name, limit, is_prismatic in rows
+        if not is_prismatic and most > 0.0 and _FAR_BEYOND * most < limit < math.inf
     )
 
 
-def _moment_of_weight(robot: RobotModel) -> float:
-    """Return an upper bound for the gravity efforts on Earth [N m]."""
+def _distances(robot: RobotModel, travel: float) -> Floats:
+    """
+    Return upper bounds of the distances from the base to the centres of mass [m], shape (b,).
+
+    ``travel`` is the fraction of the travel of prismatic joints that counts, 0 or 1.
+
+    """
     reach = np.zeros(len(robot.parent))
     for body in range(1, len(robot.parent)):
         joint = int(robot.joint_index[body])
         ends = np.abs([robot.lower[joint], robot.upper[joint]])
-        travel = np.max(ends[np.isfinite(ends)], initial=0.0) if robot.is_prismatic[body] else 0.0
-        reach[body] = reach[robot.parent[body]] + np.linalg.norm(robot.p_PL[body]) + travel
-    arms = reach + np.linalg.norm(robot.com, axis=1)
-    return float(9.81 * np.sum((robot.mass * arms)[1:]))
+        slide = np.max(ends[np.isfinite(ends)], initial=0.0) if robot.is_prismatic[body] else 0.0
+        step = np.linalg.norm(robot.p_PL[body]) + travel * slide
+        reach[body] = reach[robot.parent[body]] + step
+    return np.asarray(reach + np.linalg.norm(robot.com, axis=1))
 
 
 _MARGIN = 0.1

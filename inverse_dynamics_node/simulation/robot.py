@@ -44,7 +44,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
-from ..robot.urdf.schema import inertia_tensor, MOMENTS
+from ..robot.urdf.checks import inertia_tensor, MOMENTS
 from ..ros.middleware import explained_start, LATCHED, start_ros
 from .drivers import Actuation, Driver, Form, IDEAL, read_command
 from .hand_over import HandOver, RELEASE

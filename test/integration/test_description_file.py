@@ -116,12 +116,42 @@ def test_problems_of_xacro_files_name_the_file(workspace):
     with pytest.raises(ConfigurationError, match=r"'arm.xacro': xacro failed: .*nope"):
         load_file('arm.xacro')
     (workspace / 'arm.xacro').write_text(XACRO)
+    with pytest.raises(ConfigurationError) as error:
+        load_file('arm.xacro mas:=2')
+    expected = "'mas' is not declared; the arguments are hand, mass; did you mean 'mass'?"
+    assert (
+        str(error.value) == f"robot_description_file 'arm.xacro mas:=2': xacro argument {expected}"
+    )
     with pytest.raises(UrdfError, match=f'output of xacro for {workspace}/arm.xacro: .*mass'):
         load_file('arm.xacro mass:=-1')
     with pytest.raises(ConfigurationError, match=f'no such file: {workspace}/your.xacro'):
         load_file('your.xacro mass:=1')
-    with pytest.raises(ConfigurationError, match='arguments for xacro have the form NAME:=VALUE'):
+    with pytest.raises(ConfigurationError, match='give arguments of xacro as NAME:=VALUE'):
         load_file('arm.xacro mass=1')
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'message'),
+    [
+        ('<xacro:arg name="mass" default="1.0"/>', '',
+         "Undefined substitution argument mass when evaluating expression '2 * $(arg mass)'; "
+         'give it as mass:=VALUE after the file name'),
+        ('2 *', '2 * nope *', "name 'nope' is not defined when evaluating expression '2 * nope"),
+        ('<link name="base"/>', '<xacro:include filename="no.xacro"/>',
+         'No such file or directory: {here}/no.xacro'),
+        ('"base"', '"$(find nothing)"', "package 'nothing' not found"),
+    ],
+)  # fmt: skip
+def test_errors_of_xacro_appear_once(workspace, old, new, message):
+    pytest.importorskip('xacro')
+    (workspace / 'arm.xacro').write_text(XACRO.replace(old, new))
+    with pytest.raises(ConfigurationError) as error:
+        load_file('arm.xacro')
+    text = str(error.value)
+    expected = "robot_description_file 'arm.xacro': xacro failed: "
+    assert text.startswith(expected + message.format(here=workspace))
+    assert '<class' not in text
+    assert text.count(message[:15]) == 1
 
 
 def test_without_xacro_the_message_says_how_to_install_it(workspace, monkeypatch):

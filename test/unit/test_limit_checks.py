@@ -156,11 +156,18 @@ def test_effort_limits_are_compared_with_the_weight_of_the_stretched_robot():
     assert effort_limit_warnings(reaching_arm([49.9 * MOST, 1e7, 49.8 * MOST])) == ()
 
 
-def test_limits_of_an_arm_of_a_few_grams_are_compared_too():
-    robot = reaching_arm([100.0, 1e7, 0.1], weights=(0.002, 0.003))
-    light = dataclasses.replace(robot, mass=robot.mass * [1.0, 1.0, 1.0, 0.001])
+def test_masses_that_are_too_small_are_named_before_the_limits():
+    robot = reaching_arm([1e5, 1e7, 1e5])
+    light = dataclasses.replace(robot, mass=robot.mass * [1.0, 1e-3, 1e-3, 1e-3])
     (warning,) = effort_limit_warnings(light)
-    assert warning.subject == "joint 'turn' effort limit"
+    # The last link is 0.5 + 1 + 0.3 m away; the travel of the slide is not part of the size.
+    assert str(warning).startswith(
+        'the moving links weigh only 0.006 kg together, but reach 1.8 m'
+    )
+    assert warning.hint.startswith('write masses in kg')
+    assert 'placeholder' in str(effort_limit_warnings(robot)[0])
+    massless = dataclasses.replace(robot, mass=robot.mass * 0.0)
+    assert effort_limit_warnings(massless) == ()
 
 
 def test_a_limit_that_is_missing_is_not_a_placeholder():
@@ -192,28 +199,45 @@ def test_the_reach_does_not_depend_on_the_direction_of_the_travel():
     assert f'at most {least:.3g} N m' in str(effort_limit_warnings(shorter)[0]) != text
 
 
-def test_equal_round_limits_of_revolute_joints_are_placeholders():
-    hint = 'write the largest effort of the joint, from the data sheet of its drive'
+TEXT = ' effort limits of revolute joints are {} N m, which looks like a placeholder'
+EQUAL = [
+    # the limits of a chain of revolute and, with "p", prismatic joints; the warning
+    ('100 100 100', '3 of 3', '100'),
+    ('100 100 100 7p 8p 9p', '3 of 3', '100'),
+    ('100 100 100p 100p 100p', '', ''),
+    # round: at least 80 % of five joints
+    ('100 100 100 100 30', '4 of 5', '100'),
+    ('100 100 100 30 30', '', ''),
+    # not round: all joints of a chain of five
+    ('30 30 30 30 30', '5 of 5', '30'),
+    ('30 30 30p 30 30 30', '5 of 5', '30'),
+    ('30 30 30 30', '', ''),
+    ('30 30 30 30 30 29', '', ''),
+]
 
-    def chain(limits):
-        joints = ''.join(
-            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/>'
-            f'<child link="l{k}"/><axis xyz="0 0 1"/>'
-            f'<limit lower="0" upper="1" effort="{limit}" velocity="2"/></joint>'
-            for k, (limit, kind) in enumerate(limits, 1)
-        )
-        robot = load_urdf(f'<robot name="arm"><link name="l0"/>{joints}</robot>')
-        warnings = effort_limit_warnings(robot)
-        assert all(warning.hint == hint for warning in warnings)
-        return [warning.text for warning in warnings]
 
-    turning, sliding = (100.0, 'revolute'), (100.0, 'prismatic')
-    text = '3 of 3 effort limits of revolute joints are 100 N m, which looks like a placeholder'
-    assert chain([turning] * 3) == [text]
-    assert chain([turning] * 3 + [(7.0, 'prismatic')] * 3) == [text]
-    assert chain([turning] * 2 + [sliding] * 3) == []
-    # At least 80 % of five joints.
-    four = '4 of 5 effort limits of revolute joints are 100 N m, which looks like a placeholder'
-    assert chain([turning] * 4 + [(30.0, 'revolute')]) == [four]
-    assert chain([turning] * 3 + [(30.0, 'revolute')]) == []
-    assert chain([(30.0, 'revolute')] * 5) == []
+@pytest.mark.parametrize(('limits', 'count', 'value'), EQUAL)
+def test_equal_limits_are_placeholders(limits, count, value):
+    kinds = {'': 'revolute', 'p': 'prismatic'}
+    joints = ''.join(
+        f'<link name="l{k}"/><joint name="j{k}" type="{kinds[limit.strip("0123456789")]}">'
+        f'<parent link="l{k - 1}"/><child link="l{k}"/><axis xyz="0 0 1"/>'
+        f'<limit lower="0" upper="1" effort="{limit.strip("p")}" velocity="2"/></joint>'
+        for k, limit in enumerate(limits.split(), 1)
+    )
+    robot = load_urdf(f'<robot name="arm"><link name="l0"/>{joints}</robot>')
+    found = effort_limit_warnings(robot)
+    assert [warning.text for warning in found] == ([count + TEXT.format(value)] if count else [])
+    assert all(warning.hint.startswith('write the largest effort') for warning in found)
+
+
+def test_equal_limits_of_four_legs_are_no_placeholders():
+    legs = ''.join(
+        f'<link name="{leg}{k}"/><joint name="{leg}{k}" type="revolute"><child link="{leg}{k}"/>'
+        f'<parent link="{f"{leg}{k - 1}" if k else "l0"}"/><axis xyz="0 0 1"/>'
+        '<limit lower="0" upper="1" effort="30" velocity="2"/></joint>'
+        for leg in 'abcd'
+        for k in range(3)
+    )
+    robot = load_urdf(f'<robot name="dog"><link name="l0"/>{legs}</robot>')
+    assert effort_limit_warnings(robot) == ()

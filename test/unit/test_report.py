@@ -219,11 +219,14 @@ def test_only_real_robots_with_placeholders_have_warnings_about_them():
             continue
         if any('placeholder' in warning.text for warning in warnings):
             warned.add(path.stem)
-    # Limits of 1000 N m on legs of 3 kg, of 50000 N m on a neck; inertias of 1 1 1 kg m^2.
+    # Limits of 1000 N m on legs of 3 kg, of 50000 N m on a neck; inertias of 1 1 1 kg m^2; equal
+    # limits of 10 and 35 N m at all joints of arms of 0.5 kg.
     assert warned <= {
         'bolt',
         'finger_edu',
         'quadruped',
+        'so100',
+        'so101',
         'solo',
         'solo12',
         'baxter',

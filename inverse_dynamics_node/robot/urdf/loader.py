@@ -1,28 +1,27 @@
 """
-Loads a `RobotModel` from a URDF in six steps: read, parse, check, strip, evaluate, merge.
+Loads a `RobotModel` from a URDF in four steps: parse, check, evaluate, merge.
 
-The checks come before yourdfpy reads the values, because yourdfpy repairs broken XML, fills in
-missing inertias, and checks neither types nor references.
+The checks come before yourdfpy reads the values, because yourdfpy fills in missing inertias, and
+checks neither types nor references. yourdfpy reads the tree of elements that has been checked. Its
+links and joints have no type annotations. Links connected by fixed joints form one body. The frame
+of a joint is the frame of its child link, and the pose of the joint is given in the frame of its
+parent link.
 """
 
 from __future__ import annotations
 
-import io
+from collections.abc import Iterable, Mapping, Sequence
 import math
 import os
-from typing import Any
+from typing import Any, NamedTuple
 
-from lxml import etree
 import numpy as np
 
 from ...errors import UrdfError
-from ..kinematics import rpy_of_quaternion
-from ..model import RobotModel
-from ..rigid_body import RigidBody
-from .bodies import build_model, Joint, Link, Mimic
-from .checks import check
-from .schema import CHILDREN, CHILDREN_OF_FIXED, READ_ONCE, RULES
-from .xml import Element, parse, read_source, tag
+from ..model import Floats, ModelWarning, RobotModel
+from ..rigid_body import combine, RigidBody
+from .checks import check, children_read, Problems
+from .xml import broken_values, Element, parse, read_source, Source
 
 
 def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
@@ -55,91 +54,41 @@ def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
     Notes
     -----
     As in urdfdom, the parser of ROS, lower and upper limits default to 0, and the axis defaults to
-    x. An effort or velocity limit of 0 means unknown, and becomes infinite. The attribute
-    ``quat_xyzw`` needs version 1.1 or later of the format.
+    x. An effort or velocity limit of 0 or -1 means unknown, and becomes infinite.
 
     """
     source = read_source(path_or_xml)
     root = parse(source)
     problems = check(root)
+    _warn_of_broken_values(source, problems)
     if problems.errors:
         raise UrdfError(problems.errors, source.name)
-    links, joints = _values(_stripped(root))
     # Large numbers may overflow to infinite values, which `_overflows` reports.
     with np.errstate(all='ignore'):
-        robot = build_model(root.get('name'), links, joints, problems.warnings)
+        robot = _model(_read(root), problems.warnings)
     overflows = _overflows(robot)
     if overflows:
         raise UrdfError(overflows, source.name)
     return robot
 
 
-def _stripped(root: Element) -> bytes:
-    """Serialise only the elements and attributes that have been checked."""
-    clean = etree.Element('robot')
-    waiting = [(root, clean)]
-    while waiting:
-        element, copy = waiting.pop()
-        rule = RULES[tag(element)]
-        for name, text in element.attrib.items():
-            if name == 'quat_xyzw':
-                copy.set('rpy', rpy_of_quaternion(text))
-            elif name in rule.names or name in rule.numbers:
-                copy.set(name, text)
-        is_fixed = tag(element) == 'joint' and element.get('type') == 'fixed'
-        kinds = CHILDREN_OF_FIXED if is_fixed else CHILDREN.get(tag(element), ())
-        for child in element:
-            kind = tag(child)
-            if kind in kinds and not (kind == READ_ONCE and copy.find(kind) is not None):
-                waiting.append((child, etree.SubElement(copy, kind)))
-    return bytes(etree.tostring(clean, encoding='utf-8'))
+def _warn_of_broken_values(source: Source, problems: Problems) -> None:
+    text = 'has a line break or a tab inside an attribute; urdfdom, the parser of ROS, rejects it'
+    hint = 'write spaces; urdfdom drops the <inertial> of a link without an error'
+    for line, kind in broken_values(source):
+        problems.warning(line, f'<{kind}>', text, hint)
 
 
-def _values(clean: bytes) -> tuple[list[Link], list[Joint]]:
+def _read(root: Element) -> Any:
+    """Return the robot as objects of yourdfpy; elements that have not been checked are removed."""
     import yourdfpy  # imported late, so that invalid files fail half a second earlier
 
-    robot = yourdfpy.URDF.load(
-        io.BytesIO(clean),
-        build_scene_graph=False,
-        build_collision_scene_graph=False,
-        load_meshes=False,
-        load_collision_meshes=False,
-    ).robot
-    return [_link(link) for link in robot.links], [_joint(joint) for joint in robot.joints]
-
-
-def _link(link: Any) -> Link:
-    inertial = link.inertial
-    if inertial is None:
-        return Link(link.name, RigidBody(0.0, np.zeros(3), np.zeros((3, 3))))
-    origin = np.eye(4) if inertial.origin is None else inertial.origin
-    rotation = origin[:3, :3]
-    inertia = rotation @ inertial.inertia @ rotation.T
-    return Link(link.name, RigidBody(inertial.mass, origin[:3, 3], inertia))
-
-
-def _joint(joint: Any) -> Joint:
-    origin = np.eye(4) if joint.origin is None else joint.origin
-    axis = joint.axis / np.abs(joint.axis).max()  # the norm of a large axis would overflow
-    limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
-    is_bounded = joint.type in ('revolute', 'prismatic')
-    return Joint(
-        name=joint.name,
-        kind=joint.type,
-        parent=joint.parent,
-        child=joint.child,
-        rotation=origin[:3, :3],
-        position=origin[:3, 3],
-        axis=axis / np.linalg.norm(axis),
-        lower=(limit.lower or 0.0) if is_bounded else -math.inf,
-        upper=(limit.upper or 0.0) if is_bounded else math.inf,
-        velocity=(limit and limit.velocity) or math.inf,
-        effort=(limit and limit.effort) or math.inf,
-        # yourdfpy does not convert damping and friction to numbers.
-        damping=float((dynamics and dynamics.damping) or 0.0),
-        friction=float((dynamics and dynamics.friction) or 0.0),
-        mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),
-    )
+    for parent in list(root.iter('robot', 'link', 'joint')):
+        for child in list(parent):
+            if child.tag not in children_read(parent):
+                parent.remove(child)
+    # The only function that reads a tree instead of a file, in which yourdfpy repairs errors.
+    return yourdfpy.URDF._parse_robot(root)
 
 
 def _overflows(robot: RobotModel) -> list[str]:
@@ -158,3 +107,221 @@ def _overflows(robot: RobotModel) -> list[str]:
         for name, value in zip(names, getattr(robot, field), strict=True)
         if not np.isfinite(value).all()
     ]
+
+
+# ---- The model ---------------------------------------------------------------------------
+
+
+class _Placement(NamedTuple):
+    """The body that contains a link, and the pose of the link in the body frame."""
+
+    body: int
+    rotation: Floats
+    position: Floats
+
+
+class _Body(NamedTuple):
+    """A body: the joint that moves it, and its pose in the parent's frame at joint position 0."""
+
+    joint: Any
+    parent: int
+    rotation: Floats
+    position: Floats
+
+
+class _Drive(NamedTuple):
+    """A joint has the position ``multiplier * position of master + offset``."""
+
+    master: str
+    multiplier: float
+    offset: float
+
+
+def _model(description: Any, warnings: Iterable[ModelWarning]) -> RobotModel:
+    """
+    Merge links into bodies, and resolve mimic joints.
+
+    ``description`` is a robot of yourdfpy, whose joints must form one tree. The model contains the
+    given ``warnings``, and warnings about joints that move no mass.
+    """
+    links = description.links
+    root, bodies, placements = _place(links, description.joints)
+    placed = [placements[link.name] for link in links]
+    inertials = [_inertial(link.inertial) for link in links]
+    mass, com, inertia = _merge(placed, inertials, 1 + len(bodies))
+    drives = _resolve_mimics(description.joints)
+    masters = [body.joint for body in bodies if body.joint.mimic is None]
+    index = {joint.name: i for i, joint in enumerate(masters)}
+    moved = [drives[body.joint.name] for body in bodies]
+    parents = [-1, *(body.parent for body in bodies)]
+    limits = np.array([_limits(joint) for joint in masters], float).reshape(-1, 4).T.copy()
+    damping, friction = _folded_friction(bodies, drives, index)
+    return RobotModel(
+        name=description.name,
+        joint_names=tuple(index),
+        lower=limits[0],
+        upper=limits[1],
+        velocity_limits=limits[2],
+        effort_limits=limits[3],
+        damping=damping,
+        friction=friction,
+        is_continuous=np.array([joint.type == 'continuous' for joint in masters], bool),
+        body_names=(root, *(body.joint.name for body in bodies)),
+        parent=np.array(parents, np.int64),
+        is_prismatic=np.array([False, *(b.joint.type == 'prismatic' for b in bodies)], bool),
+        joint_index=np.array([-1, *(index[drive.master] for drive in moved)], np.int64),
+        multiplier=np.array([0.0, *(drive.multiplier for drive in moved)], float),
+        offset=np.array([0.0, *(drive.offset for drive in moved)], float),
+        R_PL=np.array([np.eye(3), *(body.rotation for body in bodies)]),
+        p_PL=np.array([np.zeros(3), *(body.position for body in bodies)]),
+        axis=np.array([np.zeros(3), *(_unit_axis(body.joint) for body in bodies)]),
+        mass=mass,
+        com=com,
+        inertia=inertia,
+        link_names=tuple(link.name for link in links),
+        link_body=np.array([place.body for place in placed], np.int64),
+        link_rotation=np.array([place.rotation for place in placed]),
+        link_position=np.array([place.position for place in placed]),
+        link_mass=np.array([inertial.mass for inertial in inertials], float),
+        link_com=np.array([inertial.com for inertial in inertials], float),
+        link_inertia=np.array([inertial.inertia for inertial in inertials], float),
+        warnings=(*warnings, *_massless(bodies, parents, mass)),
+    )
+
+
+# ---- Values of yourdfpy, which are None if the element is missing --------------------------
+
+
+def _pose(origin: Any) -> tuple[Floats, Floats]:
+    """Return the rotation and the position of an origin."""
+    return (np.eye(3), np.zeros(3)) if origin is None else (origin[:3, :3], origin[:3, 3])
+
+
+def _inertial(inertial: Any) -> RigidBody:
+    """Return mass, centre of mass and inertia of a link, in the link frame."""
+    if inertial is None:
+        return RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
+    rotation, com = _pose(inertial.origin)
+    return RigidBody(inertial.mass, com, rotation @ inertial.inertia @ rotation.T)
+
+
+def _limits(joint: Any) -> tuple[float, float, float, float]:
+    """Return lower, upper, velocity and effort limit; infinite if there is no limit."""
+    limit = joint.limit
+    velocity = limit.velocity if limit and limit.velocity > 0.0 else math.inf
+    effort = limit.effort if limit and limit.effort > 0.0 else math.inf
+    if joint.type == 'continuous':
+        return -math.inf, math.inf, velocity, effort
+    return limit.lower or 0.0, limit.upper or 0.0, velocity, effort
+
+
+def _unit_axis(joint: Any) -> Floats:
+    axis = joint.axis / np.abs(joint.axis).max()  # the norm of a large axis would overflow
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+# ---- Bodies --------------------------------------------------------------------------------
+
+
+def _place(
+    links: Sequence[Any], joints: Sequence[Any]
+) -> tuple[str, list[_Body], dict[str, _Placement]]:
+    """Return the root link, the bodies in depth-first order, and the placements of the links."""
+    children: dict[str, list[Any]] = {link.name: [] for link in links}
+    for joint in joints:
+        children[joint.parent].append(joint)
+    held = {joint.child for joint in joints}
+    root = next(link.name for link in links if link.name not in held)
+
+    bodies: list[_Body] = []
+    placements = {root: _Placement(0, np.eye(3), np.zeros(3))}
+    waiting = children[root][::-1]
+    while waiting:  # not recursive: a chain may be longer than Python's recursion limit
+        joint = waiting.pop()
+        parent = placements[joint.parent]
+        rotation, position = _pose(joint.origin)
+        rotation = parent.rotation @ rotation
+        position = parent.position + parent.rotation @ position
+        if joint.type == 'fixed':
+            placements[joint.child] = _Placement(parent.body, rotation, position)
+        else:
+            bodies.append(_Body(joint, parent.body, rotation, position))
+            placements[joint.child] = _Placement(len(bodies), np.eye(3), np.zeros(3))
+        waiting += children[joint.child][::-1]
+    return root, bodies, placements
+
+
+def _merge(
+    placed: Sequence[_Placement], inertials: Sequence[RigidBody], count: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return masses, centres of mass and inertias of the bodies, in the body frames."""
+    parts: list[list[RigidBody]] = [[] for _ in range(count)]
+    for place, inertial in zip(placed, inertials, strict=True):
+        parts[place.body].append(inertial.rotate(place.rotation).shift(place.position))
+    bodies = [combine(each) for each in parts]
+    inertia = np.array([body.inertia for body in bodies])
+    return (
+        np.array([body.mass for body in bodies]),
+        np.array([body.com for body in bodies]),
+        0.5 * (inertia + inertia.transpose(0, 2, 1)),
+    )
+
+
+# ---- Mimic joints --------------------------------------------------------------------------
+
+
+def _resolve_mimics(joints: Iterable[Any]) -> dict[str, _Drive]:
+    """Return the drive of every joint; a joint that is not a mimic joint drives itself."""
+    by_name = {joint.name: joint for joint in joints}
+    drives: dict[str, _Drive] = {}
+    for joint in by_name.values():
+        chain = []
+        while joint.name not in drives and joint.mimic is not None:
+            chain.append(joint)
+            joint = by_name[joint.mimic.joint]
+        drive = drives.setdefault(joint.name, _Drive(joint.name, 1.0, 0.0))
+        for follower in reversed(chain):
+            multiplier, offset = follower.mimic.multiplier, follower.mimic.offset
+            drive = _Drive(
+                drive.master, multiplier * drive.multiplier, multiplier * drive.offset + offset
+            )
+            drives[follower.name] = drive
+    return drives
+
+
+def _folded_friction(
+    bodies: Sequence[_Body], drives: Mapping[str, _Drive], index: Mapping[str, int]
+) -> tuple[Floats, Floats]:
+    """
+    Return damping and friction of the joints, including those of their mimic joints.
+
+    A mimic joint with multiplier m moves m times as fast as its master, and the effort of the
+    mimic joint acts on the master, multiplied by m. The viscous friction of a mimic joint is
+    therefore multiplied by m squared, and the Coulomb friction by |m|.
+
+    """
+    damping, friction = np.zeros(len(index)), np.zeros(len(index))
+    for body in bodies:
+        dynamics = body.joint.dynamics
+        if dynamics is not None:  # its values are not converted to numbers
+            master, multiplier, _ = drives[body.joint.name]
+            damping[index[master]] += multiplier * multiplier * float(dynamics.damping or 0.0)
+            friction[index[master]] += abs(multiplier) * float(dynamics.friction or 0.0)
+    return damping, friction
+
+
+def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[ModelWarning]:
+    """Return warnings about joints that move no mass."""
+    if not bodies:
+        text = 'no joint can move, so there is no effort to compute'
+        return [ModelWarning(text, 'check that this is the whole robot: every joint is fixed')]
+    carried = mass.tolist()
+    for body in range(len(bodies), 0, -1):
+        carried[parents[body]] += carried[body]
+    idle = [body.joint.name for i, body in enumerate(bodies, 1) if carried[i] == 0.0]
+    if len(idle) == len(bodies):
+        text = 'no joint moves any mass, so every gravity effort is zero'
+        return [ModelWarning(text, 'write <inertial> for the links that the joints move')]
+    text = 'moves no mass, so its gravity effort is always zero'
+    hint = 'write <inertial> for the links that this joint moves, unless the links are only frames'
+    return [ModelWarning(text, hint, f"joint '{name}'") for name in idle]

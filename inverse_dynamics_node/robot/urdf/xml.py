@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from lxml import etree
 
-from ...errors import shortened, UrdfError
+from ...errors import UrdfError
 
 Element = Any
 """An lxml element; lxml has no type annotations."""
@@ -18,15 +18,23 @@ Element = Any
 MAX_BYTES = 16 * 2**20
 """Largest accepted size of a robot description [bytes], ten times the largest real one."""
 
-MAX_LINKS = 1000
-"""Largest accepted number of links, and of joints; real robots have far fewer."""
-
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
-
-_BOM = '\ufeff'
-_DECLARATION = re.compile(rb'(?:\xef\xbb\xbf)?\s*<\?xml(?:\s[^>]*)?\?>')
-_ENCODING = re.compile(rb'encoding\s*=\s*["\']([^"\']*)')
-_FIRST_START_TAG = re.compile(rb'<[A-Za-z_]')
+_HARMLESS = (
+    'NS_ERR_UNDEFINED_NAMESPACE',  # <drake:joint/>
+    'ERR_UNKNOWN_VERSION',  # <?xml version="0.0"?>
+    'ERR_RESERVED_XML_NAME',  # <?xml?>, or a declaration after an empty line
+)
+"""Errors of libxml2 in what all URDF tools of ROS accept."""
+_PRINTED = 'String value is:'
+_PRINTED_HINT = (
+    f"begins with '{_PRINTED}', which `ros2 param get` prints before a value; use `ros2 param get "
+    '--hide-type`'
+)
+_BROKEN_VALUE = re.compile(
+    rb'<(origin|mass|inertia|axis|limit|dynamics|mimic)\b[^<>]*='
+    rb'\s*(["\'])[^"\'<>]*[\r\n\t][^"\'<>]*\2'
+)
+_COMMENT = re.compile(rb'<!--.*?-->', re.DOTALL)
 
 
 class Source(NamedTuple):
@@ -34,35 +42,42 @@ class Source(NamedTuple):
 
     name: str
     data: bytes
-    encoding: str
+    encoding: str | None = None
+    """The encoding of text; None for a file, whose bytes may declare an encoding."""
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
     """Return the bytes of a file or of XML text, or raise a UrdfError."""
-    if isinstance(path_or_xml, str) and path_or_xml.lstrip(f'{_BOM} \t\r\n').startswith('<'):
+    if isinstance(path_or_xml, str) and is_text(path_or_xml):
         # The declared encoding does not apply, because the text is decoded already.
-        data = path_or_xml.lstrip(_BOM).encode('utf-8', 'surrogatepass')
+        data = path_or_xml.lstrip('\ufeff').encode('utf-8', 'surrogatepass')
         source, kind, size = Source('URDF', data, 'utf-8'), 'text', len(data)
-    elif isinstance(path_or_xml, str) and not path_or_xml.strip():
-        raise UrdfError(['the robot description is empty: expected a path or XML text'])
     else:
         data, size = _read_file(path_or_xml)
-        name = shortened(os.fspath(path_or_xml), 250)
-        source, kind = Source(name, data, _declared_encoding(data)), 'file'
+        source, kind = Source(os.fspath(path_or_xml), data), 'file'
 
     if len(source.data) > MAX_BYTES:
         found, limit = math.ceil(size / 2**20), MAX_BYTES // 2**20
         raise UrdfError([f'{kind} is {found} MiB, limit is {limit} MiB'], source.name)
     if not source.data.strip(b'\xef\xbb\xbf \t\r\n'):
-        raise UrdfError([f'{kind} is empty'], source.name)
+        hint = ': expected a path or XML text' if kind == 'text' else ''
+        raise UrdfError([f'{kind} is empty{hint}'], source.name)
+    if source.data.lstrip().startswith(_PRINTED.encode()):
+        raise UrdfError([_PRINTED_HINT], source.name)
     return source
+
+
+def is_text(path_or_xml: str) -> bool:
+    """Return whether a string is not a path: XML text, output of `ros2 param get`, or blank."""
+    text = path_or_xml.lstrip('\ufeff \t\r\n')
+    return not text or text.startswith(('<', _PRINTED))
 
 
 def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
     """Return at most `MAX_BYTES` + 1 bytes of a file, and the size of the file."""
     if not isinstance(os.fspath(path), str):
         raise TypeError(f'expected a path or XML text as str, got {type(path).__name__}')
-    name = shortened(os.fspath(path), 250)
+    name = os.fspath(path)
     try:
         status = os.stat(path)
         if stat.S_ISDIR(status.st_mode):
@@ -80,42 +95,53 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
     return data, max(status.st_size, len(data))
 
 
-def parse(source: Source) -> Element:
-    """Parse XML; return the <robot> element, or raise a UrdfError."""
-    # libxml2 rejects declarations such as version="0.0", which other URDF tools accept.
-    data = blank_declaration(source.data)
+def parse(source: Source, keep_comments: bool = False) -> Element:
+    """Parse XML; return the <robot> element without a default namespace, or raise a UrdfError."""
+    parser = etree.XMLParser(
+        encoding=source.encoding,
+        recover=True,  # collects the errors, of which some are harmless
+        resolve_entities=False,
+        load_dtd=False,
+        dtd_validation=False,
+        attribute_defaults=False,
+        no_network=True,
+        huge_tree=False,  # keeps libxml2's limits on depth and entity expansion
+        remove_comments=not keep_comments,
+        remove_pis=not keep_comments,
+    )
     try:
-        parser = _hardened_parser(source.encoding)
-        root = etree.fromstring(data, parser)
-    except LookupError:
-        problem = f"not well-formed XML: unknown encoding '{source.encoding}', line 1"
-        raise UrdfError([problem], source.name) from None
+        root = etree.fromstring(source.data, parser)
     except etree.XMLSyntaxError as error:
-        errors = (e for e in parser.error_log if e.level >= etree.ErrorLevels.ERROR)
-        if any(each.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for each in errors):
-            raise UrdfError(_syntax_problems(source, error), source.name) from error
-        # All URDF tools of ROS accept undeclared prefixes, so these elements are not essential.
-        root = etree.fromstring(data, _hardened_parser(source.encoding, recover=True))
+        raise UrdfError([f'not well-formed XML: {error.msg}'], source.name) from error
+    has_dtd = root is not None and root.getroottree().docinfo.internalDTD is not None
+    if has_dtd or source.data.lstrip()[:9].lower() == b'<!doctype':
+        raise UrdfError(['DOCTYPE/DTD is not allowed in a URDF'], source.name)
+    for entry in parser.error_log:
+        if entry.level >= etree.ErrorLevels.ERROR and entry.type_name not in _HARMLESS:
+            where = f'line {entry.line}, column {entry.column}'
+            problem = f'not well-formed XML: {entry.message.strip()}, {where}'
+            raise UrdfError([problem], source.name)
 
-    if root.getroottree().docinfo.internalDTD is not None:
-        raise UrdfError([_NO_DOCTYPE], source.name)
     if tag(root) != 'robot':
         known = _FOREIGN_ROOTS.get(tag(root).lower())
         hint = f' (this is {known})' if known else ''
         raise UrdfError([f'root element is <{tag(root)}>, expected <robot>{hint}'], source.name)
+    for element in root.iter(etree.Element):
+        # All URDF tools ignore a default namespace (<robot xmlns="...">).
+        if element.prefix is None and '}' in element.tag:
+            element.tag = tag(element)
     return root
 
 
 def tag(element: Element) -> str:
     """Return the name of an element as in the file, with its prefix."""
-    # All URDF tools ignore a default namespace (<robot xmlns="...">).
     local_name = element.tag.rpartition('}')[2]
     return f'{element.prefix}:{local_name}' if element.prefix else local_name
 
 
 def children(element: Element, kind: str) -> list[Element]:
     """Return the children with this tag, in file order."""
-    return [child for child in element if tag(child) == kind]
+    return list(element.iterchildren(kind))
 
 
 def is_xacro(text: str) -> bool:
@@ -123,47 +149,16 @@ def is_xacro(text: str) -> bool:
     return '${' in text or '$(' in text
 
 
-def _hardened_parser(encoding: str, recover: bool = False) -> Any:
-    return etree.XMLParser(
-        encoding=encoding,
-        recover=recover,
-        resolve_entities=False,
-        load_dtd=False,
-        dtd_validation=False,
-        attribute_defaults=False,
-        no_network=True,
-        huge_tree=False,  # keeps libxml2's limits on depth and entity expansion
-        remove_comments=True,
-        remove_pis=True,
-    )
+def broken_values(source: Source) -> list[tuple[int, str]]:
+    """
+    Find line breaks and tabs inside the attributes of a description.
 
+    The result contains the line and the name of each element that urdfdom, the parser of ROS,
+    cannot read. An XML parser replaces these characters with spaces.
 
-def _declared_encoding(data: bytes) -> str:
-    """Return the encoding that the byte order mark or the declaration states, or UTF-8."""
-    if data.startswith((b'\xff\xfe', b'\xfe\xff')):
-        return 'utf-16'
-    if data.startswith((b'<\0', b'\0<')):  # UTF-16 without a byte order mark
-        return 'UTF-16LE' if data.startswith(b'<') else 'UTF-16BE'
-    found = _DECLARATION.match(data)
-    declared = _ENCODING.search(found[0]) if found else None
-    return declared[1].decode('ascii', 'replace') if declared else 'utf-8'
-
-
-def blank_declaration(data: bytes) -> bytes:
-    """Replace every character of an XML declaration, except line breaks, with a space."""
-    found = _DECLARATION.match(data)
-    if not found:
-        return data
-    return re.sub(rb'[^\r\n]', b' ', found[0]) + data[found.end() :]
-
-
-_NO_DOCTYPE = 'DOCTYPE/DTD is not allowed in a URDF'
-
-
-def _syntax_problems(source: Source, error: Any) -> list[str]:
-    problems = [f'not well-formed XML: {error.msg}']
-    start_tag = _FIRST_START_TAG.search(source.data)
-    head = source.data[: start_tag.start()] if start_tag else source.data
-    if b'<!doctype' in head.lower():
-        problems.insert(0, _NO_DOCTYPE)
-    return problems
+    """
+    text = _COMMENT.sub(lambda found: b'\n' * found[0].count(b'\n'), source.data)
+    return [
+        (text.count(b'\n', 0, found.start()) + 1, found[1].decode())
+        for found in _BROKEN_VALUE.finditer(text)
+    ]
