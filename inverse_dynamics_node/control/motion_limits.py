@@ -361,8 +361,8 @@ def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> 
 
     """
     for k in range(len(added)):
-        limit, pace = factor * rows[_SPEED, k], rows[_PACE, k]
-        effort = tau[int(rows[_INDEX, k])] + added[k]
+        limit, pace = factor * float(rows[_SPEED, k]), float(rows[_PACE, k])
+        effort = float(tau[int(rows[_INDEX, k])]) + float(added[k])
         is_driving = effort * pace > 0.0
         last = rows[_SHARE, k]
         share = min(1.0, last + elapsed / (_RETURN if is_driving else _QUICK_RETURN))

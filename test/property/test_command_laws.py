@@ -5,17 +5,15 @@ import math
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.laws import Reference
+from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.control.loop import COMPUTING_PHASES, ControlLoop, Phase
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
 import pytest
-from robot_files import ROOT
-from states import joint_state, store_state, unobserved, UnobservedController
+from states import Arm, PLANAR, Q, reference, store_state, unobserved
 
-ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
-Q, QD = np.array([0.4, -0.7]), np.array([0.3, 0.2])
+LINK = PLANAR.link_names[-1]
+QD = np.array([0.3, 0.2])
 LARGEST = 100.0  # [N m]; more than any effort computed here
 ROUNDING = 1e-9  # [N m]
 SHORTEST = 0.2  # [s]; of the start ramps that are not zero
@@ -52,11 +50,9 @@ class Watched:
     """Checks every command of a controller against the laws."""
 
     def __init__(self, first, accelerations):
-        self.controller = UnobservedController(
-            InverseDynamics(ROBOT), (), Settings(**first), PERIOD
-        )
+        self.arm = Arm(is_observed=False, settings=Settings(**first), period=PERIOD)
         self.has_started = False
-        self.accelerations = np.array(accelerations)
+        self.accelerations, self.added = accelerations, np.array(accelerations)[::-1] / 10.0
         self.now, self.last = 100.0, np.zeros(2)
         self.bound = np.zeros(2)  # the last command before the latest change
         self.has_changed = self.changed_before = self.was_falling = False
@@ -64,7 +60,7 @@ class Watched:
         self.fallen = self.settling = 0.0
 
     def happen(self, event):
-        ours = self.controller
+        ours = self.arm.loop
         self.has_changed = event not in ('stop', 'resume')
         self.has_event = True
         if self.has_changed:
@@ -79,8 +75,7 @@ class Watched:
         elif event == 'again':
             ours.apply(ours.settings)
         elif event == 'heavier':
-            ours.dynamics.set_payload(ROBOT.link_names[-1], 0.5)
-            ours.blend()
+            ours.loads.set_payload(LINK, 0.5, np.zeros(3), np.zeros((3, 3)))
         else:
             ours.apply(Settings(**event))
 
@@ -88,15 +83,13 @@ class Watched:
         """Advance the time, and check the next command."""
         given = elapsed
         self.now += elapsed
-        received = joint_state(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
-        wanted = np.full(2, 1e308) if given_input == 'absurd' else self.accelerations
-        reference = Reference(wanted, np.zeros(2), self.now)
-        ours = self.controller
-        command = ours.step(self.now, None if given_input == 'none' else received, reference)
-        if command is None:
+        received = {'lost': self.now - 10.0, 'none': math.nan}.get(given_input, self.now)
+        wanted = [1e308, 1e308] if given_input == 'absurd' else self.accelerations
+        followed = reference(self.now, None, None, wanted, self.added)
+        ours, efforts = self.arm.loop, self.arm.at(self.now, Q, QD, followed, received)
+        if efforts is None:
             assert ours.phase is Phase.WAITING
             return
-        efforts = command.efforts.copy()
         assert np.isfinite(efforts).all()
         late = max(0.0, elapsed)
         expected = min(late, PERIOD) if self.has_started else 0.0
@@ -122,7 +115,7 @@ class Watched:
 
     def check_followed(self, efforts, elapsed):
         change = np.abs(efforts - self.last)
-        ours = self.controller.settings
+        ours = self.arm.loop.settings
         rates = np.array(ours.effort_rate_limits)
         limits = np.where(np.isinf(rates), math.inf, np.minimum(rates, 1e9) * elapsed)
         assert (change <= limits + ROUNDING).all()
@@ -135,7 +128,7 @@ class Watched:
             assert (change <= LARGEST * (3.0 * fraction + fallen) + ROUNDING).all()
 
     def check_fall(self, efforts, elapsed):
-        ramp = self.controller.settings.stop_ramp
+        ramp = self.arm.loop.settings.stop_ramp
         if self.was_falling:
             ramp = self.ramp
             self.fallen += elapsed
@@ -152,7 +145,7 @@ class Watched:
 
     def check_limits(self, efforts):
         # Below the bound of a limit that was tightened, an effort may rise with the start ramp.
-        limits = np.maximum(self.controller.limits, self.bound)
+        limits = np.maximum(self.arm.loop.limits, self.bound)
         assert (np.abs(efforts) <= limits + ROUNDING).all()
 
 
@@ -186,16 +179,18 @@ def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
     first, wanted, acts, last
 ):
     watched = play(first, wanted, acts)
-    ours = watched.controller
+    ours = watched.arm.loop
     watched.happen('resume')
     last = last | {'effort_rate_limits': math.inf}
     watched.happen(last)
     watched.step(0.01)
     for _ in range(60):
         watched.step(0.05)
-    fresh = UnobservedController(ours.dynamics, (), Settings(**last | {'start_ramp': 0.0}))
-    reference = Reference(watched.accelerations, np.zeros(2), 0.0)
-    expected = fresh.step(0.0, joint_state(Q, QD, 0.0), reference).efforts
+    fresh = Arm(is_observed=False, settings=Settings(**last | {'start_ramp': 0.0}))
+    for link, payload in ours.loads.payloads.items():
+        fresh.loop.loads.set_payload(link, *payload)
+    followed = reference(0.0, None, None, wanted, watched.added)
+    expected = fresh.at(0.0, Q, QD, followed)
     assert ours.phase in COMPUTING_PHASES
     assert np.allclose(watched.last, expected, rtol=0.0, atol=ROUNDING)
     assert (np.abs(watched.last) <= ours.limits).all()
@@ -207,7 +202,6 @@ def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
     assert watched.last.tolist() == [0.0, 0.0]
 
 
-LINK = ROBOT.link_names[-1]
 loads = st.one_of(
     st.tuples(st.just('payload'), st.sampled_from([0.0, 0.5, 3.0])),
     st.tuples(st.just('wrench'), st.sampled_from([0.0, 20.0, -20.0])),
@@ -235,13 +229,13 @@ def set_load(loop, now, kind, value):
 )
 def test_efforts_change_no_faster_than_a_blend_whatever_loads_arrive(events, ramp, timeout):
     chosen = Settings(start_ramp=ramp, wrench_timeout=timeout, use_urdf_effort_limits=False)
-    loop, now, arrivals = unobserved(ControlLoop(ROBOT, settings=chosen)), 100.0, {}
+    loop, now, arrivals = unobserved(ControlLoop(PLANAR, settings=chosen)), 100.0, {}
     last, largest, at_once = np.zeros(2), np.zeros(2), np.zeros(2)
 
     def step():
         nonlocal now, last, largest, at_once
         now += 0.01
-        store_state(loop.collector, now, ROBOT.joint_names, Q, QD)
+        store_state(loop.collector, now, PLANAR.joint_names, Q, QD)
         command = loop.step(now).efforts.copy()
         largest = np.maximum(largest, np.abs(loop.dynamics.efforts(Q, QD, np.zeros(2))))
         bound = 2.0 * largest * 0.01 / ramp + at_once + ROUNDING
@@ -265,7 +259,7 @@ def test_efforts_change_no_faster_than_a_blend_whatever_loads_arrive(events, ram
             step()
     for _ in range(300):
         step()
-    expected = InverseDynamics(ROBOT, loop.loads.gravity)
+    expected = InverseDynamics(PLANAR, loop.loads.gravity)
     for link, payload in loop.loads.payloads.items():
         expected.set_payload(link, *payload)
     assert last == pytest.approx(expected.efforts(Q, QD, np.zeros(2)))

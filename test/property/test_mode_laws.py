@@ -1,79 +1,112 @@
-"""Laws of hand guiding and joint impedance, for random trees and gains."""
+"""Laws of the modes, for random trees, commanded joints, gains and references."""
 
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import Phase
 from inverse_dynamics_node.control.motion_limits import MotionLimits
 from inverse_dynamics_node.control.settings import Mode, Settings
 from kinematics import assert_close
 import numpy as np
 from random_trees import robots_with_states as cases
-from states import joint_state, UnobservedController
+from states import Arm, reference
 
-NO_LIMITS = {'start_ramp': 0.0, 'use_urdf_effort_limits': False, 'max_tracking_error': 0.0}
-gains = st.sampled_from([0.0, 0.3, 1.0, 20.0])
-
-
-def efforts(dynamics, q, qd, reference=None, before=None, **settings):
-    """Return the efforts in one state, after a state at rest if one is given."""
-    controller = UnobservedController(dynamics, (), Settings(**NO_LIMITS, **settings))
-    if before is not None:
-        controller.step(0.0, joint_state(before, np.zeros(len(q)), 0.0), None)
-        controller.motion_limits = MotionLimits(dynamics, controller.index)  # no jump to `q`
-    found = controller.step(0.01, joint_state(q, qd, 0.01), reference).efforts.copy()
-    assert controller.phase is not Phase.NO_SOLUTION
-    return found
+FREE = Settings(start_ramp=0.0, use_urdf_effort_limits=False, max_tracking_error=0.0)
+FRICTION = 0.5, 0.2, 0.01, 0.1
+seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+has = st.tuples(*4 * [st.booleans()])
 
 
-@given(cases(vectors=7), st.tuples(st.booleans(), st.booleans(), st.booleans()))
-def test_without_gains_joint_impedance_is_inverse_dynamics(case, has):
-    _, robot, (q, qd, qdd, added, q_ref, qd_ref, before) = case
-    has_reference, has_positions, has_velocities = has
-    positions, velocities = q_ref if has_positions else None, qd_ref if has_velocities else None
-    reference = Reference(qdd, added, 0.01, positions, velocities) if has_reference else None
-    dynamics = InverseDynamics(robot)
-    dynamics.set_friction(0.5, 0.2, load_friction=0.1)
-    expected = efforts(dynamics, q, qd, reference, before, mode=Mode.INVERSE_DYNAMICS)
-    none = {'stiffness': 0.0, 'impedance_damping': 0.0}
-    found = efforts(dynamics, q, qd, reference, before, mode=Mode.JOINT_IMPEDANCE, **none)
-    assert found.tolist() == expected.tolist()
+class Case:
+    """A robot of which some joints are commanded in any order, in a state, with a reference."""
+
+    def __init__(self, case, rng, has_rows, mode, friction=FRICTION, **gains):
+        _, self.robot, vectors = case
+        self.q, self.qd, self.before, *rows = vectors
+        names, n = self.robot.joint_names, len(self.robot.joint_names)
+        self.index = rng.permutation(n)[: rng.integers(1, n + 1)]
+        m = len(self.index)
+        self.gains = {name: rng.choice(values, m) for name, values in gains.items()}
+        given_gains = {name: tuple(values.tolist()) for name, values in self.gains.items()}
+        joints = [names[k] for k in self.index]
+        self.arm = Arm(
+            self.robot, joints, is_observed=False, settings=FREE, mode=mode, **given_gains
+        )
+        self.arm.loop.dynamics.set_friction(*friction)
+        has_reference, has_positions, has_velocities, _ = has_rows
+        kept = (has_positions, has_velocities, True, True)
+        rows = [row[self.index] if has else None for row, has in zip(rows, kept, strict=True)]
+        self.positions, self.velocities, self.accelerations, self.added = rows
+        self.reference = reference(0.01, *rows) if has_reference else None
+        if not has_reference:
+            self.positions = self.velocities = None
+            self.accelerations, self.added = np.zeros((2, m))
+        self.arm.at(0.0, self.before)
+        limits = MotionLimits(self.arm.loop.dynamics, self.index.tolist())
+        self.arm.loop.motion_limits = limits  # the joints do not jump to `q`
+        self.efforts = self.arm.at(0.01, self.q, self.qd, self.reference)
+        assert self.arm.phase is not Phase.NO_SOLUTION
+
+    def model(self, qd, accelerations):
+        """Return the efforts of the commanded joints at accelerations of theirs."""
+        qdd = np.zeros(len(self.q))
+        qdd[self.index] = accelerations
+        return self.arm.loop.dynamics.efforts(self.q, qd, qdd)[self.index]
+
+    def way(self, target):
+        """Return the way to positions; continuous joints take the shorter one."""
+        way = target - self.q[self.index]
+        turns = np.round(way / (2.0 * np.pi)) * self.robot.is_continuous[self.index]
+        return way - 2.0 * np.pi * turns
+
+    def speed_error(self):
+        wanted = 0.0 if self.velocities is None else self.velocities
+        return wanted - self.qd[self.index]
 
 
-@given(cases(vectors=3), gains, gains)
-def test_springs_pull_back_and_dampers_slow_down(case, stiffness, damping):
-    _, robot, (q, qd, before) = case
-    dynamics = InverseDynamics(robot)
-    given_gains = {'stiffness': stiffness, 'impedance_damping': damping}
-    found = efforts(dynamics, q, qd, None, before, mode=Mode.JOINT_IMPEDANCE, **given_gains)
-    way = before - q
-    turns = np.round(way / (2.0 * np.pi)) * robot.is_continuous
-    spring = stiffness * (way - 2.0 * np.pi * turns)
-    model = dynamics.efforts(q, qd, 0.0 * q)
-    assert_close(found, model + spring - damping * qd, 1e-9)
+GAINS = [0.0, 0.3, 1.0, 20.0]
+robots = cases(vectors=7)
 
 
-@given(
-    cases(vectors=2),
-    st.floats(0.0, 1.0),
-    gains,
-    st.tuples(*3 * [st.sampled_from([0.0, 0.1, 5.0])]),
-    st.sampled_from([1e-3, 0.01, 1.0]),
-)
-def test_compensated_friction_is_a_share_of_the_friction(case, scale, damping, friction, width):
-    _, robot, (q, qd) = case
-    dynamics = InverseDynamics(robot)
-    viscous, coulomb, load = friction
-    dynamics.set_friction(viscous, coulomb, width, load)
-    modes = {'mode': Mode.GRAVITY_COMPENSATION, 'friction_scale': scale}
-    held = efforts(dynamics, q, 0.0 * qd, **modes)
-    found = efforts(dynamics, q, qd, **modes) - held
-    whole = dynamics.effort_terms(q, qd, 0.0 * qd).friction
-    room = 1e-9 * (1.0 + np.abs(held) + np.abs(whole))
-    assert (np.abs(found) <= scale * np.abs(whole) + room).all()
-    assert (found * whole >= -room * np.abs(whole)).all()
-    # What is left of the friction never drives the arm, and the damping brakes it.
-    damped = efforts(dynamics, q, qd, **modes, guiding_damping=damping) - held
-    assert ((damped - whole) * qd <= room * np.abs(qd)).all()
-    assert (np.abs(damped - found + damping * qd) <= room * (1.0 + np.abs(damping * qd))).all()
+@given(robots, seeds, has)
+def test_inverse_dynamics_produces_the_accelerations_of_the_reference(case, rng, rows):
+    each = Case(case, rng, rows, Mode.INVERSE_DYNAMICS)
+    assert_close(each.efforts, each.model(each.qd, each.accelerations) + each.added, 1e-9)
+
+
+@given(robots, seeds, has)
+def test_computed_torque_adds_accelerations_towards_the_reference(case, rng, rows):
+    each = Case(case, rng, rows, Mode.COMPUTED_TORQUE, kp=GAINS, kd=GAINS)
+    qdd = each.accelerations
+    if each.positions is not None:
+        qdd = qdd + each.gains['kp'] * each.way(each.positions)
+    if each.positions is not None or each.velocities is not None:
+        qdd = qdd + each.gains['kd'] * each.speed_error()
+    assert_close(each.efforts, each.model(each.qd, qdd) + each.added, 1e-9)
+
+
+@given(robots, seeds, has)
+def test_joint_impedance_adds_springs_and_dampers(case, rng, rows):
+    """Without positions of the reference, the arm is held where it was first."""
+    gains = {'stiffness': GAINS, 'impedance_damping': GAINS}
+    each = Case(case, rng, rows, Mode.JOINT_IMPEDANCE, **gains)
+    held = each.before[each.index] if each.positions is None else each.positions
+    spring = each.gains['stiffness'] * each.way(held)
+    damper = each.gains['impedance_damping'] * each.speed_error()
+    model = each.model(each.qd, each.accelerations) + each.added
+    assert_close(each.efforts, model + spring + damper, 1e-9)
+
+
+@given(robots, seeds, has, st.tuples(*3 * [st.sampled_from([0.0, 0.1, 5.0])]))
+def test_hand_guiding_adds_a_share_of_the_friction_and_damping(case, rng, rows, friction):
+    damping, coulomb, load = friction
+    gains = {'friction_scale': [0.0, 0.5, 1.0], 'guiding_damping': GAINS}
+    mode, friction = Mode.GRAVITY_COMPENSATION, (damping, coulomb, 0.01, load)
+    each = Case(case, rng, rows, mode, friction, **gains)
+    dynamics, qd = each.arm.loop.dynamics, each.qd[each.index]
+    whole = dynamics.effort_terms(each.q, each.qd, 0.0 * each.q).friction[each.index]
+    added = each.gains['friction_scale'] * whole - each.gains['guiding_damping'] * qd
+    held = dynamics.gravity_efforts(each.q)[each.index]
+    scale = max(np.abs(held).max(), np.abs(whole).max(), np.abs(added).max())
+    np.testing.assert_allclose(each.efforts, held + added, rtol=0, atol=1e-9 * scale)
+    # What is left of the friction never drives the arm.
+    assert ((added - whole) * qd <= 1e-9 * scale * np.abs(qd)).all()

@@ -6,7 +6,7 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.settings import Settings
 import numpy as np
 from robot_files import ROOT
-from states import joint_state, UnobservedController
+from states import Arm
 
 ROBOT = load_urdf(ROOT / 'test/robots/gripper_arm.urdf')
 N = len(ROBOT.joint_names)
@@ -23,7 +23,7 @@ subsets = st.sets(st.integers(0, N - 1), min_size=1).map(sorted)
 
 
 class Stop:
-    """A controller of some joints, and the joint states of an arm that moves at random."""
+    """A control loop of some joints, and the joint states of an arm that moves at random."""
 
     def __init__(self, index, scale, seed, noise, **some_settings):
         self.index, self.scale = index, np.array(scale)[index]
@@ -31,7 +31,7 @@ class Stop:
             start_ramp=0.0, effort_scale=tuple(self.scale.tolist()), **some_settings
         )
         names = [ROBOT.joint_names[i] for i in index]
-        self.controller = UnobservedController(InverseDynamics(ROBOT), names, self.settings)
+        self.arm = Arm(ROBOT, names, is_observed=False, settings=self.settings)
         self.random, self.noise = np.random.default_rng(seed), noise
         self.q = self.random.uniform(np.maximum(ROBOT.lower, -3), np.minimum(ROBOT.upper, 3))
         self.qd = self.random.uniform(-1.0, 1.0, N)
@@ -45,12 +45,11 @@ class Stop:
             self.q = self.q + (self.time - self.measured_at) * self.qd
             self.measured = self.qd + self.noise * self.random.standard_normal(N)
             self.measured_at = self.time
-        state = joint_state(self.q, self.measured, self.measured_at)
-        return self.controller.step(self.time, state, None).efforts.copy()
+        return self.arm.at(self.time, self.q, self.measured, None, self.measured_at)
 
     def check(self, periods):
         """Check the commands of a stop; return how many of them damp the motion."""
-        self.controller.stop()
+        self.arm.loop.stop()
         passed, damped, ramp = None, 0, self.settings.stop_ramp
         for period, has_state in periods:
             command = self.command(period, has_state=has_state)
@@ -60,12 +59,12 @@ class Stop:
             self.check_limits(command, left)
             self.check_power(added)
             damped += bool(np.abs(added).max() > 1e-9)
-            assert self.controller.stop_damping.is_active or np.abs(added).max() < 1e-9
+            assert self.arm.loop.stop_damping.is_active or np.abs(added).max() < 1e-9
         return damped
 
     def check_limits(self, command, left):
-        assert (np.abs(command) <= self.controller.limits + 1e-9).all()
-        assert (np.abs(left * self.top) <= self.controller.limits + 1e-9).all()
+        assert (np.abs(command) <= self.arm.loop.limits + 1e-9).all()
+        assert (np.abs(left * self.top) <= self.arm.loop.limits + 1e-9).all()
 
     def check_power(self, added):
         """Scale turns the effort of a joint into the command; without it there is no effort."""

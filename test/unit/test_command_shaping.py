@@ -1,6 +1,6 @@
-"""Ramps advance by at most one nominal step in one command, and interruptions are blended."""
+"""The clock of the ramps, interruptions, dry runs, and damping within the limits."""
 
-from inverse_dynamics_node.control.shaping import add_within, RampClock
+from inverse_dynamics_node.control.shaping import add_within, DryRun, RampClock
 import numpy as np
 import pytest
 
@@ -60,21 +60,65 @@ def test_the_intervals_of_a_slow_driver_are_no_interruptions(interval):
     assert clock.advance(now + 25 * interval)
 
 
-def test_nothing_has_passed_at_a_start():
+def test_nothing_has_passed_at_a_start_and_between_two_commands_at_one_time():
     clock = RampClock()
     clock.advance(5.0)
     clock.advance(500.0)
     clock.start()
     assert clock.advance(7.0)
     assert clock.step == 0.0
+    assert not clock.advance(7.0)
+    assert (clock.step, clock.since) == (0.0, 0.0)
     assert not clock.advance(7.01)
 
 
-def test_two_commands_at_one_time_are_no_interruption():
-    clock = RampClock()
-    clock.advance(5.0)
-    assert not clock.advance(5.0)
-    assert (clock.step, clock.since) == (0.0, 0.0)
+EFFORTS = np.array([4.0, -2.0])
+# What happens, and the fraction of the efforts that is sent then; None if nothing is sent.
+DRY_RUNS = {
+    'without one, the computed efforts are sent': [1.0, 1.0],
+    'efforts fall to zero, zeros follow for half a second, then nothing': [
+        *(1.0, {'begin': 0.4}, 0.75, 0.5, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, None, None)
+    ],
+    'without a ramp, the next command is zero': [1.0, {'begin': 0.0}, 0.0],
+    'zeros are sent even if the next step is very late': [
+        *(1.0, {'begin': 0.4}, {'elapsed': 60.0}, 0.0, {'elapsed': 0.1}, None)
+    ],
+    'a second begin does not restart the ramp': [
+        *(1.0, {'begin': 0.4}, 0.75, {'begin': 10.0}, 0.5)
+    ],
+    'its end lets the computed efforts through': [1.0, {'begin': 0.1}, 0.0, {'end': True}, 1.0],
+    'it begins at once if nothing was sent': [{'begin': 1.0}, None, None],
+}
+
+
+@pytest.mark.parametrize('statement', DRY_RUNS)
+def test_a_dry_run(statement):
+    dry_run, efforts, elapsed, begun = DryRun(), EFFORTS.copy(), 0.1, False
+    for event in DRY_RUNS[statement]:
+        if isinstance(event, dict):
+            elapsed = event.get('elapsed', elapsed)
+            if 'begin' in event:
+                dry_run.begin(event['begin'])
+                efforts[:] = 100.0  # the array is used again, and the computed efforts grow
+            if 'end' in event:
+                dry_run.end()
+                efforts[:] = EFFORTS
+            begun = dry_run.is_active
+            continue
+        sent = dry_run.select(efforts, elapsed)
+        if event is None:
+            assert sent is None
+        else:
+            assert sent == pytest.approx(event * EFFORTS, abs=1e-12)
+        assert dry_run.has_sent is (event is not None)
+        assert dry_run.has_effort is bool(event)
+        assert dry_run.is_active is begun
+
+
+def test_a_dry_run_from_the_start_sends_nothing():
+    dry_run = DryRun(is_active=True)
+    assert dry_run.select(EFFORTS, 0.1) is None
+    assert dry_run.is_active
 
 
 @pytest.mark.filterwarnings('error')

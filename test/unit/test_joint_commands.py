@@ -1,51 +1,42 @@
 """The complete command: what a drive with gains of its own receives beside the efforts."""
 
+from dataclasses import replace
 import math
 
-from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.laws import Reference
-from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
 import numpy as np
 import pytest
-from robot_files import ROOT
-from states import store_state, unobserved
+from states import Arm, PERIOD, PLANAR, Q, reference
 
-ARM = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
-Q, QD = np.array([0.3, -0.2]), np.array([0.1, -0.4])
+QD = np.array([0.1, -0.4])
 TARGET, SPEED = Q + 0.1, np.array([0.5, 0.25])
-PERIOD = 0.005
 
 
-class Arm:
-    """A loop that is fed with the same state and reference in every step."""
+class Drive(Arm):
+    """An arm that is fed with the same state and reference in every step."""
 
-    def __init__(self, robot=ARM, **settings):
-        self.loop = unobserved(ControlLoop(robot, settings=Settings(start_ramp=0.1, **settings)))
-        self.loop.start()
-        self.now = 0.0
+    def __init__(self, robot=PLANAR, **settings):
+        super().__init__(robot, is_observed=False, settings=Settings(start_ramp=0.1), **settings)
 
-    def step(self, q=Q, qd=QD, **reference):
-        loop, self.now = self.loop, self.now + PERIOD
-        if q is not None:
-            store_state(loop.collector, self.now, loop.robot.joint_names, q, qd)
-        if reference:
-            loop.reference = Reference(np.zeros(2), np.zeros(2), self.now, **reference)
-        assert loop.step(self.now) is not None
-        return loop.drive_reference()
-
-    def play(self, seconds, **arguments):
-        return [self.step(**arguments) for _ in range(round(seconds / PERIOD))]
+    def play(self, seconds, has_states=True, **motion):
+        """Return the positions and velocities that are sent."""
+        sent = []
+        for _ in range(round(seconds / PERIOD)):
+            now = self.now + PERIOD
+            followed = reference(now, **motion) if motion else self.loop.reference
+            self.at(now, Q, QD, followed, None if has_states else math.nan)
+            sent.append(self.loop.drive_reference())
+        return sent
 
 
 def test_gains_of_the_drive_add_nothing_without_a_reference():
-    for positions, velocities in Arm().play(0.2):
+    for positions, velocities in Drive().play(0.2):
         assert positions == pytest.approx(Q, abs=0.0)
         assert velocities == pytest.approx(QD, abs=0.0)
 
 
 def test_the_motion_of_the_reference_is_reached_within_the_start_ramp():
-    arm = Arm()
+    arm = Drive()
     arm.play(0.05)
     motion = arm.play(0.2, positions=TARGET, velocities=SPEED)
     steps = np.diff([Q, *(positions for positions, _ in motion)], axis=0)
@@ -55,27 +46,27 @@ def test_the_motion_of_the_reference_is_reached_within_the_start_ramp():
 
 
 def test_a_reference_without_velocities_is_at_rest():
-    positions, velocities = Arm().play(0.2, positions=TARGET)[-1]
+    positions, velocities = Drive().play(0.2, positions=TARGET)[-1]
     assert positions == pytest.approx(TARGET)
     assert velocities == pytest.approx(np.zeros(2))
 
 
 def test_a_reference_without_motion_lets_the_gains_add_nothing():
     reference = {'positions': None, 'velocities': None}
-    positions, velocities = Arm().play(0.2, **reference)[-1]
+    positions, velocities = Drive().play(0.2, **reference)[-1]
     assert positions == pytest.approx(Q)
     assert velocities == pytest.approx(QD)
 
 
 @pytest.mark.parametrize(('farthest', 'is_sent'), [(0.5, False), (0.0, True)])
 def test_a_distant_reference_is_not_sent_unless_the_distance_is_unlimited(farthest, is_sent):
-    arm = Arm(max_tracking_error=farthest)
+    arm = Drive(max_tracking_error=farthest)
     positions, _ = arm.play(0.2, positions=Q + 0.6)[-1]
     assert positions == pytest.approx(Q + 0.6 * is_sent)
 
 
 def test_an_ignored_reference_is_not_sent():
-    arm = Arm(mode=Mode.GRAVITY_COMPENSATION)
+    arm = Drive(mode=Mode.GRAVITY_COMPENSATION)
     positions, velocities = arm.play(0.2, positions=TARGET, velocities=SPEED)[-1]
     assert positions == pytest.approx(Q)
     assert velocities == pytest.approx(QD)
@@ -92,7 +83,7 @@ def begin_dry_run(arm):
 
 
 def lose_states(arm):
-    return {'q': None}
+    return {'has_states': False}
 
 
 def end_reference(arm):
@@ -109,7 +100,7 @@ def jump_away(arm):
 )
 def test_the_drive_is_led_gradually_from_the_reference_to_where_the_arm_is(change):
     """The gains of the drive may carry a part of the weight."""
-    arm = Arm(stop_ramp=0.2)
+    arm = Drive(stop_ramp=0.2)
     last = arm.play(0.2, positions=Q + 0.45, velocities=SPEED)[-1]
     arguments = change(arm)
     motion = arm.play(0.6, **arguments)
@@ -123,9 +114,8 @@ def test_the_drive_is_led_gradually_from_the_reference_to_where_the_arm_is(chang
 
 
 def test_a_continuous_joint_takes_the_shorter_way():
-    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
-    robot = robot.__class__(**{**vars(robot), 'is_continuous': np.array([True, False])})
-    arm = Arm(robot)
+    robot = replace(PLANAR, is_continuous=np.array([True, False]))
+    arm = Drive(robot)
     positions, _ = arm.play(0.2, positions=TARGET + np.array([6.0 * math.pi, 0.0]))[-1]
     assert positions == pytest.approx(TARGET)
 
@@ -137,7 +127,7 @@ def follow(arm, seconds=0.2):
 
 @pytest.mark.parametrize('cause', ['start', 'stop'])
 def test_the_drive_is_led_to_the_reference_again_after_a_start_and_a_stop(cause):
-    arm = Arm()
+    arm = Drive()
     follow(arm)
     if cause == 'start':
         arm.loop.start()

@@ -4,198 +4,165 @@ import math
 import re
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop, Phase
 from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
 from inverse_dynamics_node.control.settings import Mode, Settings
 import numpy as np
 import pytest
 from robot_files import ROOT
-from states import store_state
+from states import Arm, PERIOD, PLANAR, Q, reference, REST, store_state
 
-ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
-NAMES, SPEED = ROBOT.joint_names, ROBOT.velocity_limits
-Q = np.array([0.4, -0.7])
-PERIOD = 0.005
-FREE = {'start_ramp': 0.0, 'stop_ramp': 0.5, 'use_urdf_effort_limits': False}
+NAMES, SPEED = PLANAR.joint_names, PLANAR.velocity_limits
+FREE = Settings(start_ramp=0.0, stop_ramp=0.5, use_urdf_effort_limits=False)
 
 
-class Arm:
-    """A control loop, and the joint states that it receives: of joints at given speeds."""
-
-    def __init__(self, **settings):
-        self.loop = ControlLoop(ROBOT, settings=Settings(**FREE | settings))
-        self.loop.start()
-        self.now, self.q = 1.0, Q.copy()
-
-    def move(self, qd, duration=PERIOD, reported=1.0, period=PERIOD):
-        """Move at constant speed; return the commands."""
-        commands = []
-        for _ in range(max(1, round(duration / period))):
-            self.now += period
-            self.q = self.q + period * np.asarray(qd)
-            store_state(self.loop.collector, self.now, NAMES, self.q, reported * np.asarray(qd))
-            commands.append(self.loop.step(self.now).efforts.copy())
-        return np.array(commands)
-
-    def follow(self, qd, duration):
-        """Follow a reference that moves with the arm; return the commands."""
-        commands = []
-        for _ in range(round(duration / PERIOD)):
-            q = self.q + PERIOD * np.asarray(qd)
-            self.loop.reference = Reference(np.zeros(2), np.zeros(2), self.now, q, np.array(qd))
-            commands += [*self.move(qd)]
-        return np.array(commands)
-
-    @property
-    def reason(self):
-        return self.loop.supervisor.limit_stop
+def moving(**settings):
+    return Arm(settings=FREE, **settings)
 
 
 def test_a_joint_that_is_too_fast_stops_the_arm_and_is_named():
-    arm = Arm(mode=Mode.COMPUTED_TORQUE)
-    before = arm.follow((0.3, 0.0), 0.1)[-1]
+    arm = moving(mode=Mode.COMPUTED_TORQUE)
+    before = arm.move((0.3, 0.0), 0.1, behind=0.0)[-1]
     assert np.abs(before).max() > 1.0
-    after = arm.follow((0.3, -1.3 * SPEED[1]), 0.05)
+    after = arm.move((0.3, -1.3 * SPEED[1]), 0.05, behind=0.0)
     assert arm.loop.phase is Phase.LIMIT_STOP
     speed, limit = f'{1.3 * SPEED[1]:.3g}', f'{SPEED[1]:.3g}'
-    assert arm.reason == f'{NAMES[1]} moved at {speed} rad/s, limit {limit} rad/s'
+    assert arm.limit_stop == f'{NAMES[1]} moved at {speed} rad/s, limit {limit} rad/s'
     assert not after[-1].any()
     first = int(np.flatnonzero((after == after[-1]).all(axis=1))[0])
     assert first * PERIOD <= 3.0 * PERIOD + LIMIT_RAMP
 
 
 def test_a_stop_lasts_until_the_node_is_enabled_and_then_efforts_rise():
-    arm = Arm(start_ramp=0.1)
+    arm = moving(start_ramp=0.1)
     arm.move((2.2 * SPEED[0], 0.0), 0.05)
-    assert arm.reason
-    assert not arm.move((0.0, 0.0), 1.0)[20:].any()
+    assert arm.limit_stop
+    assert not arm.move(REST, 1.0)[20:].any()
     arm.loop.resume()
-    rising = arm.move((0.0, 0.0), 0.3)
-    assert not arm.reason
-    assert rising[-1] == pytest.approx(InverseDynamics(ROBOT).gravity_efforts(arm.q))
+    rising = arm.move(REST, 0.3)
+    assert not arm.limit_stop
+    assert rising[-1] == pytest.approx(InverseDynamics(PLANAR).gravity_efforts(arm.q))
     assert (np.abs(np.diff(rising, axis=0)) <= 1.01 * np.abs(rising[-1]) * PERIOD / 0.1).all()
 
 
 def test_a_restart_ends_a_limit_stop_and_the_end_of_a_dry_run_does_not():
-    arm = Arm()
+    arm = moving()
     arm.move((2.2 * SPEED[0], 0.0), 0.05)
     arm.loop.switch_dry_run(is_wanted=True)
-    arm.move((0.0, 0.0), 2.0)
+    arm.move(REST, 2.0)
     arm.loop.switch_dry_run(is_wanted=False)
-    assert not arm.move((0.0, 0.0), 0.1).any()
-    assert arm.reason
+    assert not arm.move(REST, 0.1).any()
+    assert arm.limit_stop
     arm.loop.start()
-    assert arm.move((0.0, 0.0), 0.1)[-1].any()
+    assert arm.move(REST, 0.1)[-1].any()
 
 
 @pytest.mark.parametrize('guiding', [0.3, 0.5])
 def test_an_arm_that_is_pushed_becomes_heavy_and_is_not_stopped(guiding):
-    arm = Arm(guiding_speed=guiding)
-    upward = np.sign(arm.move((0.0, 0.0))[-1][0])
+    arm = moving(guiding_speed=guiding)
+    upward = np.sign(arm.move()[-1][0])
     free = arm.move((0.85 * guiding * upward * SPEED[0], 0.0), 0.1)[-1]
     assert np.abs(free[0]) > 1.0
     heavy = arm.move((1.05 * guiding * upward * SPEED[0], 0.0), 0.1)[-1]
     assert heavy[0] == 0.0
     assert heavy[1] != 0.0
-    assert not arm.reason
+    assert not arm.limit_stop
 
 
 def test_positions_that_jump_to_and_fro_stop_the_arm_in_every_mode():
     for mode in Mode:
-        arm = Arm(mode=mode)
-        arm.move((0.0, 0.0), 0.1)
+        arm = moving(mode=mode)
+        arm.move(REST, 0.1)
         for k in range(5):
             arm.q = Q + np.array([0.0, 1.5 * (k % 2)])
-            arm.move((0.0, 0.0))
-        assert f'{NAMES[1]} jumps to and fro by 1.5 rad' in arm.reason
+            arm.move()
+        assert f'{NAMES[1]} jumps to and fro by 1.5 rad' in arm.limit_stop
 
 
 def test_an_arm_that_falls_is_held_at_every_speed():
-    arm = Arm(guiding_speed=0.5)
-    falling = -np.sign(arm.move((0.0, 0.0))[-1][0]) * 0.8 * SPEED[0]
+    arm = moving(guiding_speed=0.5)
+    falling = -np.sign(arm.move()[-1][0]) * 0.8 * SPEED[0]
     efforts = arm.move((falling, 0.0), 0.05)
     assert (efforts[:, 0] * falling < 0.0).all()
-    expected = InverseDynamics(ROBOT).efforts(arm.q, np.array([falling, 0.0]), np.zeros(2))
+    expected = InverseDynamics(PLANAR).efforts(arm.q, np.array([falling, 0.0]), np.zeros(2))
     assert efforts[-1] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize('mode', Mode)
 def test_an_arm_that_falls_behind_its_reference_is_stopped_in_modes_with_feedback(mode):
-    arm = Arm(mode=mode, max_tracking_error=0.3)
+    arm = moving(mode=mode, max_tracking_error=0.3)
     target, velocities = arm.q.copy(), np.array([0.0, 1.0])
     for _ in range(100):  # the arm is blocked
         target = target + PERIOD * velocities
-        none = np.zeros(2)
-        arm.loop.reference = Reference(none, none, arm.now, target, velocities)
-        arm.move(none)
+        arm.loop.reference = reference(arm.now, target, velocities)
+        arm.move()
     is_closed = mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
-    assert bool(arm.reason) is is_closed
+    assert bool(arm.limit_stop) is is_closed
     if is_closed:
         found = re.fullmatch(
-            rf'{NAMES[1]} is (.*) rad from its reference, limit 0.3 rad', arm.reason
+            rf'{NAMES[1]} is (.*) rad from its reference, limit 0.3 rad', arm.limit_stop
         )
         assert 0.3 <= float(found[1]) < 0.31
 
 
 def test_an_arm_that_was_far_from_the_reference_from_the_first_is_not_stopped():
-    arm = Arm(mode=Mode.JOINT_IMPEDANCE, max_tracking_error=0.3, stiffness=1.0)
+    arm = moving(mode=Mode.JOINT_IMPEDANCE, max_tracking_error=0.3, stiffness=1.0)
     held = arm.q.copy()
     arm.move((0.5, 0.0))
     arm.move((0.5, 0.0), 0.8)  # pushed away from the position that is held
-    arm.loop.reference = Reference(np.zeros(2), np.zeros(2), arm.now, held, np.zeros(2))
-    arm.move((0.0, 0.0), 0.3)
-    assert not arm.reason
+    arm.loop.reference = reference(arm.now, held, REST)
+    arm.move(REST, 0.3)
+    assert not arm.limit_stop
 
 
 def test_limits_of_the_parameters_replace_those_of_the_urdf():
     fast = (1.5 * SPEED[0], 0.0)
     for limits, is_stopped in ((-1.0, True), (0.0, False), (2.0 * SPEED[0], False), (1.0, True)):
-        arm = Arm(velocity_limits=(limits, -1.0))
+        arm = moving(velocity_limits=(limits, -1.0))
         arm.move(fast, 0.1)
-        assert bool(arm.reason) is is_stopped
+        assert bool(arm.limit_stop) is is_stopped
 
 
 def test_positions_without_velocities_show_the_speed_too():
-    arm = Arm()
+    arm = moving()
     arm.move((2.0 * SPEED[0], 0.0), 0.2, reported=math.nan)
-    assert f'{NAMES[0]} moved at' in arm.reason
+    assert f'{NAMES[0]} moved at' in arm.limit_stop
 
 
 @pytest.mark.parametrize('reported', [-1.0, 0.0, 0.2, 57.3], ids=str)
 @pytest.mark.parametrize('is_dry_run', [False, True])
 def test_velocities_that_contradict_positions_are_named(reported, is_dry_run):
-    arm = Arm()
+    arm = moving()
     if is_dry_run:
         arm.loop.start(is_dry_run=True)
     speed = 0.4
     arm.move((0.0, speed), 0.5, reported=np.array([1.0, reported]))
-    problem = arm.loop.motion_problem[0] if is_dry_run else arm.reason
+    problem = arm.loop.motion_problem[0] if is_dry_run else arm.limit_stop
     assert NAMES[1] in problem
-    assert bool(arm.reason) is not is_dry_run
+    assert bool(arm.limit_stop) is not is_dry_run
     assert arm.loop.phase is (Phase.FLOATING if is_dry_run else Phase.LIMIT_STOP)
 
 
 def test_a_simulation_that_falls_behind_for_a_moment_contradicts_nothing():
     """Joint states arrive 10 % more slowly than they were simulated while a joint moves back."""
-    arm = Arm(velocity_limits=2.0)
+    arm = moving(velocity_limits=2.0)
     for t in np.arange(0.0, 10.0, PERIOD):
         qd = 1.2 * np.cos(2.4 * t)
         arm.now += 0.1 * PERIOD if qd < 0.0 else 0.0
         arm.move((0.0, qd))
-        assert not arm.reason
+        assert not arm.limit_stop
 
 
 def test_a_jump_of_the_position_is_a_stop_only_with_feedback():
     for mode in Mode:
-        arm = Arm(mode=mode)
-        arm.follow((0.1, 0.1), 0.1)
+        arm = moving(mode=mode)
+        arm.move((0.1, 0.1), 0.1, behind=0.0)
         arm.q = arm.q + np.array([0.0, 1.5])
         last = arm.move((0.1, 0.1))[-1]
         is_closed = mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
-        assert bool(arm.reason) is is_closed
+        assert bool(arm.limit_stop) is is_closed
         if is_closed:
-            assert arm.reason == f'{NAMES[1]} jumped by 1.5 rad, which no motion explains'
+            assert arm.limit_stop == f'{NAMES[1]} jumped by 1.5 rad, which no motion explains'
             assert (np.abs(arm.move((0.1, 0.1))[-1]) <= np.abs(last)).all()
 
 
@@ -203,7 +170,7 @@ def test_a_jump_of_the_position_is_a_stop_only_with_feedback():
 def test_motion_within_the_limits_goes_on(period):
     """Noise of 0.05 rad/s, encoder steps of 0.5 mrad, pauses of 60 ms, and states in bursts."""
     random = np.random.default_rng(1979)
-    loop = ControlLoop(ROBOT, settings=Settings(**FREE))
+    loop = ControlLoop(PLANAR, settings=FREE)
     loop.start()
     waiting, resumed = [], 0.0
     for k in range(round(20.0 / period)):
@@ -253,7 +220,7 @@ def test_a_spring_takes_energy_out_of_the_motion():
     pytest.importorskip('mujoco')
     from inverse_dynamics_node.simulation.mujoco import MujocoRobot
 
-    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+    robot = PLANAR
     settings = Settings(start_ramp=0.0, limit_margin=0.3, limit_stiffness=100.0)
     start = np.array([0.0, robot.upper[1] - 0.5])
     hardware = MujocoRobot(robot, start, friction=False)

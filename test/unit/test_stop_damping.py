@@ -1,7 +1,5 @@
 """An arm without brakes sinks slowly when it is stopped."""
 
-from dataclasses import replace
-from functools import cache
 import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
@@ -12,112 +10,114 @@ import numpy as np
 import pytest
 from robot_files import ROOT
 from soft_stops import ARMS, SoftStop, STOP
-from states import Controller, joint_state
+from states import Arm, PERIOD, PLANAR, Q, REST, store_state
 
-ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
-DYNAMICS = InverseDynamics(ROBOT)
-Q, RAMP = np.array([0.4, -0.7]), 0.2
-SLOW = {'stop_damping': 50.0, 'stop_ramp': RAMP}
-PERIOD = 0.005  # [s]
+DYNAMICS = InverseDynamics(PLANAR)
+RAMP = 0.2
+SLOW = Settings(start_ramp=0.0, use_urdf_effort_limits=False, stop_damping=50.0, stop_ramp=RAMP)
 MOVING = np.array([0.3, -0.2])
 
 
-class Arm:
-    """A controller, and the joint states that it receives: of joints at a constant speed."""
+class Stopped(Arm):
+    """An arm that moves at constant speed, and is stopped; it keeps why the damping has ended."""
 
-    def __init__(self, speed=MOVING, joints=(), reported=1.0, **settings):
-        settings = {'start_ramp': 0.0, 'use_urdf_effort_limits': False, **SLOW, **settings}
-        self.controller = Controller(InverseDynamics(ROBOT), joints, Settings(**settings))
-        self.time, self.q, self.qd = 0.0, Q.copy(), np.array(speed)
-        self.reported = reported  # factor of the velocities
-        self.lost_since = math.inf
-        self.step()
+    def __init__(self, speed=MOVING, joints=(), robot=PLANAR, reported=1.0, **settings):
+        super().__init__(robot, joints, settings=SLOW, **settings)
+        self.speed, self.reported, self.report = np.array(speed), reported, ''
+        self.run()
 
-    def step(self, period=PERIOD):
-        """Return the next command."""
-        self.time += period
-        if self.time < self.lost_since:
-            self.q = self.q + period * self.qd
-        time = min(self.time, self.lost_since)
-        state = joint_state(self.q, self.reported * self.qd, time)
-        return self.controller.step(self.time, state, None).efforts.copy()
+    def _step(self):
+        efforts = super()._step()
+        self.report = self.command.end_of_damping or self.report
+        return efforts
 
-    def run(self, duration):
-        """Return the commands of a duration [s]."""
-        return np.array([self.step() for _ in range(round(duration / PERIOD))])
+    def run(self, duration=PERIOD, **options):
+        return self.move(self.speed, duration, reported=self.reported, **options)
 
-    def stop(self, duration):
-        self.controller.stop()
-        return self.run(duration)
+    def stop(self, duration, **options):
+        self.loop.stop()
+        return self.run(duration, **options)
 
     @property
-    def report(self):
-        return self.controller.end_of_damping
+    def is_damped(self):
+        return self.loop.stop_damping.is_active
 
-
-def damping_of(arm, duration):
-    """Return what the damping adds to the commands of a stop."""
-    settings = arm.controller.settings
-    top = arm.step()
-    left = 1.0 - PERIOD * np.arange(round(duration / PERIOD)) / settings.stop_ramp
-    return arm.stop(duration) - np.outer(np.maximum(0.0, left), top)
-
-
-@cache
-def ordinary(**arguments):
-    """Return the commands of a stop without damping."""
-    return Arm(**arguments, stop_damping=0.0).stop(1.0)
+    def added(self, duration):
+        """Return what the damping adds to the commands of a stop."""
+        top = self.run()[-1]
+        left = 1.0 - PERIOD * np.arange(round(duration / PERIOD)) / RAMP
+        return self.stop(duration) - np.outer(np.maximum(0.0, left), top)
 
 
 def expected(q, qd, damping=50.0):
     return -damping * DYNAMICS.mass_matrix(q) @ qd
 
 
-def test_without_it_a_stop_is_as_before():
-    arm = Arm(stop_damping=0.0)
-    arm.stop(1.0)
-    assert arm.step().tolist() == [0.0, 0.0]
-    assert not arm.controller.has_effort
-    assert not arm.report
-
-
 def test_it_rises_as_the_command_fades_and_stays_while_the_arm_moves():
-    arm = Arm()
-    added = damping_of(arm, 0.5)
+    arm = Stopped()
+    added = arm.added(0.5)
     full = np.array([expected(Q + PERIOD * (k + 3) * MOVING, MOVING) for k in range(100)])
     share = np.minimum(1.0, PERIOD * np.arange(100) / RAMP)
     assert added == pytest.approx(share[:, np.newaxis] * full)
-    assert arm.controller.has_effort
-    assert arm.controller.phase is Phase.STOPPED
+    assert arm.loop.has_effort
+    assert arm.phase is Phase.STOPPED
+    assert arm.loop.shaper.time_to_fall == RAMP
 
 
-def test_a_weak_damping_acts_too():
-    arm = Arm(stop_damping=0.5)
+def second(q, qd):
+    """Return the damping of the second joint alone."""
+    return -50.0 * DYNAMICS.mass_matrix(q)[1, 1] * qd[1]
+
+
+@pytest.mark.parametrize(
+    ('settings', 'speed', 'damping'),
+    [
+        ({'stop_damping': 0.5}, MOVING, lambda q, qd: expected(q, qd, 0.5)),
+        ({'stop_damping': 0.0}, MOVING, lambda q, qd: REST),
+        ({'effort_scale': (-2.0, 0.5)}, MOVING, lambda q, qd: [-2.0, 0.5] * expected(q, qd)),
+        # A joint without commands is not damped through others.
+        ({'effort_scale': (0.0, 1.0)}, MOVING, lambda q, qd: [0.0, second(q, qd)]),
+        ({'joints': PLANAR.joint_names[1:]}, MOVING, lambda q, qd: [second(q, qd)]),
+        # Within the limits, it is reduced as a whole.
+        (
+            {'effort_limits': (100.0, 1.0)},
+            (1.0, 0.5),
+            lambda q, qd: expected(q, qd) / abs(expected(q, qd)[1]),
+        ),
+    ],
+)
+def test_commanded_joints_are_damped_within_the_limits(settings, speed, damping):
+    arm = Stopped(speed, **settings)
     command = arm.stop(2.0 * RAMP)[-1]
-    assert command == pytest.approx(expected(arm.q, MOVING, 0.5), rel=0.02)
+    assert command == pytest.approx(np.array(damping(arm.q, arm.speed)), rel=1e-6)
+    assert arm.loop.has_effort is bool(command.any())
+
+
+def test_a_stop_ramp_of_zero_damps_at_once():
+    arm = Stopped(stop_ramp=0.0)
+    assert arm.stop(PERIOD)[0] == pytest.approx(expected(arm.q, MOVING))
 
 
 def test_it_ends_when_the_arm_is_at_rest():
-    arm = Arm(speed=np.array([0.0, 0.0]))
+    arm = Stopped(speed=REST)
     arm.stop(RAMP + 0.45)
-    assert arm.controller.has_effort
+    assert arm.loop.has_effort
     assert arm.stop(0.1)[-1].tolist() == [0.0, 0.0]
-    assert not arm.controller.has_effort
+    assert not arm.loop.has_effort
     assert arm.report == AT_REST
-    arm.qd = MOVING
+    arm.speed = MOVING
     assert not arm.run(0.5).any()
 
 
 def test_an_arm_that_sinks_slowly_is_not_at_rest():
-    arm = Arm(speed=np.array([0.0, 0.006]))
+    arm = Stopped(speed=(0.0, 0.006))
     arm.stop(5.0)
-    assert arm.controller.has_effort
+    assert arm.loop.has_effort
 
 
 def test_it_fades_when_its_time_has_passed():
-    arm = Arm()
-    added = damping_of(arm, TIMEOUT + 0.5)
-    size = np.abs(added).max(axis=1)
+    arm = Stopped()
+    size = np.abs(arm.added(TIMEOUT + 0.5)).max(axis=1)
     before = size[round((TIMEOUT - 0.1) / PERIOD)]
     assert size[round((TIMEOUT - 0.01) / PERIOD)] == pytest.approx(before, rel=0.05)
     assert 0.0 < np.abs(np.diff(size)).max() < 0.1 * size.max()
@@ -125,65 +125,66 @@ def test_it_fades_when_its_time_has_passed():
     assert arm.report == 'the arm still moves after 20 s'
 
 
-def test_a_moving_arm_is_not_hit_by_a_step():
-    arm = Arm(speed=np.array([3.0, -4.0]))
-    last = arm.step()
-    commands = arm.stop(2.0 * PERIOD)
-    assert commands[0].tolist() == last.tolist()
-    most = PERIOD / RAMP * (np.abs(last) + np.abs(expected(arm.q, arm.qd)))
-    assert (np.abs(commands[1] - last) <= 1.1 * most).all()
-
-
-def test_a_stop_ramp_of_zero_damps_at_once():
-    arm = Arm(stop_ramp=0.0)
-    assert arm.stop(PERIOD)[0] == pytest.approx(expected(arm.q, MOVING))
-
-
 def test_states_that_are_lost_leave_the_ordinary_stop():
-    plain = ordinary()
-    arm = Arm()
+    plain, arm = Stopped(stop_damping=0.0).stop(1.0), Stopped()
     arm.stop(0.1)
-    arm.lost_since = arm.time
-    late = arm.run(0.2)
+    arm.speed = REST
+    late = arm.run(0.2, has_states=False)
     # state_timeout is 0.1 s
     assert late[21:].tolist() == plain[41:60].tolist()
     assert arm.report == 'the joint states are lost'
-    arm.lost_since = math.inf
+    arm.speed = MOVING
     assert not arm.run(1.0).any()
 
 
 @pytest.mark.parametrize('reported', [-1.0, 0.0, 57.3], ids=['sign', 'none', 'degrees'])
 def test_velocities_that_contradict_positions_end_it_in_a_limit_stop(reported):
-    arm = Arm(reported=reported)
+    arm = Stopped(reported=reported)
     commands = arm.stop(1.0)
-    assert arm.controller.phase is Phase.LIMIT_STOP
-    assert arm.report == arm.controller.supervisor.limit_stop != ''
-    assert not commands[round(0.15 / PERIOD) :].any()
+    assert arm.phase is Phase.LIMIT_STOP
+    assert arm.report == arm.limit_stop != ''
+    assert not commands[round(0.16 / PERIOD) :].any()
 
 
 def test_a_small_constant_error_of_the_velocities_does_not_add_up():
-    arm = Arm(speed=np.array([0.0, 0.006]), reported=3.5)  # 0.015 rad/s too much
-    arm.controller.stop()
-    for _ in range(120):
-        arm.step(0.05)
-    assert arm.controller.stop_damping.is_active
+    arm = Stopped(speed=(0.0, 0.006), reported=3.5)  # 0.015 rad/s too much
+    arm.stop(6.0, period=0.05)
+    assert arm.is_damped
+
+
+@pytest.mark.parametrize(('period', 'largest'), [(0.05, 8.0), (0.1, 4.0), (0.2, 2.0), (0.3, 50.0)])
+def test_a_joint_that_turns_to_and_fro_is_damped_less(period, largest):
+    """States that are always late make a damped arm shake, at twice their delay."""
+    arm = Stopped(speed=REST, state_timeout=0.5)
+    arm.loop.stop()
+    for k in range(round(8 * period / PERIOD)):
+        swing = 0.16 if (k * PERIOD) // period % 2 else -0.16
+        command = arm.move((0.0, swing))[-1]
+    rate = command[1] / expected(arm.q, np.array([0.0, swing]), 1.0)[1]
+    assert rate == pytest.approx(largest, rel=0.1)
+
+
+def test_a_small_swing_is_damped_in_full():
+    arm = Stopped(speed=REST)
+    arm.loop.stop()
+    for k in range(160):
+        command = arm.move((0.0, 0.14 if k // 20 % 2 else -0.14))[-1]
+    assert np.abs(command[1]) == pytest.approx(np.abs(second(arm.q, (0.0, 0.14))), rel=0.05)
 
 
 def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own():
     """Two drivers: one reports its fast joint all the time, the other at 20 Hz."""
-    settings = Settings(start_ramp=0.0, use_urdf_effort_limits=False, **SLOW)
-    arm = Controller(DYNAMICS, (), settings)
-    q, qd, times = Q.copy(), np.array([3.0, -0.2]), np.zeros(2)
+    arm = Arm(settings=SLOW)
+    qd = np.array([3.0, -0.2])
     for k in range(101):
         now = PERIOD * k
-        q[0], times[0] = Q[0] + now * qd[0], now
-        if k % 10 == 0:
-            q[1], times[1] = Q[1] + now * qd[1], now
-        arm.step(now, joint_state(q.copy(), qd, times.min(), times.copy()), None)
+        for joint in (0, 1) if k % 10 == 0 else (0,):
+            values = [Q[joint] + now * qd[joint]], [qd[joint]]
+            store_state(arm.loop.collector, now, PLANAR.joint_names[joint : joint + 1], *values)
+        arm.loop.step(now)
         if k == 1:
-            arm.stop()
-    assert arm.stop_damping.is_active
-    assert not arm.end_of_damping
+            arm.loop.stop()
+    assert arm.loop.stop_damping.is_active
 
 
 PAUSE = 12  # periods
@@ -191,72 +192,48 @@ PAUSE = 12  # periods
 
 def stop_with_pause(begins, reported):
     """Return the report of a stop after five periods, and the number of periods until its end."""
-    settings = Settings(start_ramp=0.0, use_urdf_effort_limits=False, **SLOW)
-    arm = Controller(DYNAMICS, (), settings)
-    qd = np.array([2.0, -1.0])
+    arm, qd = Arm(settings=SLOW), np.array([2.0, -1.0])
     for k in range(100):
-        sent = PERIOD * k
-        end = begins + PAUSE
+        sent, end = PERIOD * k, begins + PAUSE
         now = PERIOD * end - 1e-5 * (end - k) if begins <= k < end else sent
         if k == 5:
-            arm.stop()
-        arm.step(now, joint_state(Q + sent * qd, reported(k) * qd, now), None)
-        if arm.end_of_damping:
-            return arm.end_of_damping, k - 5
+            arm.loop.stop()
+        arm.at(now, Q + sent * qd, reported(k) * qd)
+        if arm.command.end_of_damping:
+            return arm.command.end_of_damping, k - 5
     return '', 95
 
 
-pauses = pytest.mark.parametrize('begins', [5, 7], ids=['with the stop', 'later'])
-
-
-@pauses
-def test_joint_states_that_arrive_together_after_a_pause_do_not_end_it(begins):
-    """The first state after the pause is old: the joint has moved less than its velocity says."""
-    assert stop_with_pause(begins, lambda k: 1.0) == ('', 95)
-
-
-@pauses
-def test_a_wrong_sign_during_a_pause_ends_it_soon_after(begins):
-    report, periods = stop_with_pause(begins, lambda k: -1.0 if k >= begins else 1.0)
-    assert 'contradict its positions' in report
-    assert periods < 3 * PAUSE
-
-
-def test_one_wrong_velocity_ends_it():
-    report, periods = stop_with_pause(40, lambda k: 100.0 if k == 30 else 1.0)
-    assert 'contradict its positions' in report
-    assert periods == 26
-
-
-@pytest.mark.filterwarnings('error')
-@pytest.mark.parametrize('value', ['positions', 'velocities'])
-def test_a_state_that_cannot_be_computed_with_leaves_the_ordinary_stop(value):
-    arm = Arm(stop_ramp=1.0)
-    plain = Arm(stop_ramp=1.0, stop_damping=0.0)
-    if value == 'positions':
-        arm.q = np.array([0.4, math.nan])
-    else:
-        arm.reported = math.inf
-    assert arm.stop(PERIOD).tolist() == plain.stop(PERIOD).tolist()
+@pytest.mark.parametrize(
+    ('begins', 'reported', 'ends'),
+    [
+        # The first state after a pause is old: the joint has moved less than its velocity says.
+        (5, lambda k: 1.0, (95, 95)),
+        (7, lambda k: 1.0, (95, 95)),
+        (5, lambda k: -1.0 if k >= 5 else 1.0, (1, 3 * PAUSE)),
+        (7, lambda k: -1.0 if k >= 7 else 1.0, (1, 3 * PAUSE)),
+        (40, lambda k: 100.0 if k == 30 else 1.0, (26, 26)),  # one wrong velocity
+    ],
+)
+def test_a_wrong_velocity_ends_it_and_a_pause_does_not(begins, reported, ends):
+    report, periods = stop_with_pause(begins, reported)
+    assert ends[0] <= periods <= ends[1]
+    assert ('contradict its positions' in report) is (periods < 95)
 
 
 def test_a_stop_while_states_are_lost_is_not_damped():
-    arm = Arm()
-    arm.lost_since = arm.time
-    arm.run(0.15)
-    assert arm.controller.phase is Phase.STATE_LOST
-    arm.lost_since = math.inf
-    last = np.abs(arm.step())
-    for command in np.abs(arm.stop(0.5)):
-        assert (command <= last).all()
-        last = command
-    assert not last.any()
+    arm = Stopped()
+    arm.run(0.15, has_states=False)
+    assert arm.phase is Phase.STATE_LOST
+    commands = np.abs(np.vstack([arm.run(), arm.stop(0.5)]))
+    assert (np.diff(commands, axis=0) <= 0.0).all()
+    assert not commands[-1].any()
 
 
 def test_a_gap_in_the_states_ends_it_even_if_the_next_one_is_fresh():
-    arm = Arm()
+    arm = Stopped()
     arm.stop(RAMP)
-    arm.step(0.15)
+    arm.run(0.15, period=0.15)
     assert not arm.run(0.1).any()
     assert arm.report == 'the joint states were lost'
 
@@ -264,128 +241,66 @@ def test_a_gap_in_the_states_ends_it_even_if_the_next_one_is_fresh():
 def test_a_full_turn_of_a_continuous_joint_is_no_motion():
     robot = load_urdf(ROOT / 'test/robots/continuous.urdf')
     joint = int(np.flatnonzero(robot.is_continuous)[0])
-    settings = Settings(start_ramp=0.0, use_urdf_effort_limits=False, **SLOW)
-    arm = Controller(InverseDynamics(robot), (), settings)
-    q, qd = np.zeros((2, len(robot.joint_names)))
-    q[joint], qd[joint] = math.pi - 0.01, 0.2
-    arm.step(0.0, joint_state(q.copy(), qd, 0.0), None)
-    arm.stop()
-    for k in range(1, 101):
-        q[joint] += PERIOD * qd[joint]
-        wrapped = q - 2.0 * math.pi * (q > math.pi)
-        arm.step(PERIOD * k, joint_state(wrapped, qd, PERIOD * k), None)
-    assert wrapped[joint] < 0.0
-    assert arm.stop_damping.is_active
+    arm = Stopped(0.2 * np.eye(len(robot.joint_names))[joint], robot=robot)
+    arm.q[joint] = math.pi - 0.01
+    arm.run()
+    arm.loop.stop()
+    for _ in range(100):
+        arm.run()
+        arm.q[joint] -= 2.0 * math.pi * (arm.q[joint] > math.pi)
+    assert arm.q[joint] < 0.0
+    assert arm.is_damped
 
 
-def test_the_damping_is_reduced_as_a_whole_to_stay_within_the_limits():
-    arm = Arm(speed=np.array([1.0, 0.5]), effort_limits=(100.0, 1.0))
-    command = arm.stop(2.0 * RAMP)[-1]
-    wanted = expected(arm.q, arm.qd)
-    assert np.abs(command[1]) == pytest.approx(1.0)
-    assert command == pytest.approx(wanted * (command[1] / wanted[1]))
-
-
-def test_the_scale_applies():
-    arm = Arm(effort_scale=(-2.0, 0.5))
-    command = arm.stop(2.0 * RAMP)[-1]
-    assert command == pytest.approx([-2.0, 0.5] * expected(arm.q, MOVING))
-
-
-def test_a_joint_without_commands_is_not_damped_through_others():
-    arm = Arm(effort_scale=(0.0, 1.0))
-    command = arm.stop(2.0 * RAMP)[-1]
-    block = DYNAMICS.mass_matrix(arm.q)[1, 1]
-    assert command == pytest.approx([0.0, -50.0 * block * MOVING[1]])
-
-
-def test_only_commanded_joints_are_damped():
-    name = ROBOT.joint_names[1]
-    arm = Arm(joints=(name,))
-    block = DYNAMICS.mass_matrix(arm.q)[1, 1]
-    assert arm.stop(2.0 * RAMP)[-1] == pytest.approx([-50.0 * block * MOVING[1]], rel=1e-6)
-
-
-@pytest.mark.parametrize('period', [0.001, 0.005, 0.01, 0.02, 0.05, 0.09])
+@pytest.mark.parametrize('period', [0.001, 0.01, 0.02, 0.09])
 @pytest.mark.parametrize('pause', [0, 1, 8])
 @pytest.mark.parametrize('damping', [20.0, 200.0])
 def test_one_joint_state_takes_away_less_than_the_velocity(period, pause, damping):
     """Otherwise, the damping would drive a joint whose states are late."""
-    arm = Arm(stop_damping=damping, stop_ramp=0.0)
-    arm.controller.stop()
-    for _ in range(3):
-        arm.step(period)
-    arm.lost_since = arm.time
-    commands = [arm.step(period) for _ in range(1 + pause)]
-    lost = -np.linalg.solve(DYNAMICS.mass_matrix(arm.q), np.sum(commands, axis=0)) * period
+    arm = Stopped(stop_damping=damping, stop_ramp=0.0)
+    arm.stop(3.0 * period, period=period)
+    q = arm.q.copy()
+    commands = arm.run((1 + pause) * period, period=period, has_states=False)
+    lost = -np.linalg.solve(DYNAMICS.mass_matrix(q), commands.sum(axis=0)) * period
     assert (lost / MOVING <= 0.83).all()
     assert (lost / MOVING >= 0.0).all()
 
 
-def test_efforts_rise_again_from_the_last_command():
-    arm = Arm(start_ramp=1.0)
-    arm.run(1.5)
-    last = arm.stop(0.5)[-1]
-    assert np.abs(last).max() > 1.0
-    arm.controller.resume()
-    assert arm.step() == pytest.approx(last)
-    assert not arm.controller.stop_damping.is_active
-    gravity = DYNAMICS.efforts(arm.q, arm.qd, np.zeros(2))
-    assert np.abs(arm.step() - last).max() < 1.5 * PERIOD * np.abs(gravity - last).max()
-
-
-def test_efforts_that_are_held_do_not_contain_damping():
-    arm = Arm(on_stale_state=StalePolicy.HOLD)
-    arm.stop(0.1)
-    arm.controller.resume()
-    arm.lost_since = arm.time - 1.0
-    assert arm.step() == pytest.approx(ordinary()[19])
-    assert arm.controller.phase is Phase.STATE_LOST
-
-
-def test_a_start_does_not_continue_the_damping():
-    arm = Arm()
-    arm.stop(0.1)
-    arm.controller.start()
-    arm.controller.stop()
-    assert not arm.run(0.1).any()
-    assert not arm.controller.stop_damping.is_active
-
-
-def test_settings_that_change_under_way_apply_to_the_next_stop():
-    arm, other = Arm(), Arm()
-    arm.stop(0.1)
-    other.stop(0.1)
-    settings = {**SLOW, 'stop_damping': 10.0}
-    other.controller.apply(Settings(start_ramp=0.0, use_urdf_effort_limits=False, **settings))
-    assert other.run(0.5) == pytest.approx(arm.run(0.5))
-
-
-@pytest.mark.parametrize('change', [{'effort_limits': 0.1}, {'effort_scale': 3.0}])
-def test_scale_and_limits_that_change_under_way_cause_no_step(change):
-    arm = Arm()
-    before = arm.stop(1.0)[-1]
-    assert np.abs(before).max() > 1.0
-    arm.controller.apply(replace(arm.controller.settings, **change))
-    assert arm.step() == pytest.approx(before, rel=0.05)
-
-
 def test_bursts_of_joint_states_do_not_weaken_the_protection():
     """Two messages in a row, as of two drivers, and then a pause: the pause counts."""
-    arm = Arm(stop_damping=200.0)
-    arm.controller.stop()
+    arm = Stopped(stop_damping=200.0)
+    arm.loop.stop()
     for _ in range(60):
-        arm.step(0.0198)
-        last = arm.step(0.0002)
+        arm.run(0.0198, period=0.0198)
+        last = arm.run(0.0002, period=0.0002)[-1]
     rates = -np.linalg.solve(DYNAMICS.mass_matrix(arm.q), last) / MOVING
     assert (rates > 1.0).all()
     assert (rates * 0.0198 <= 0.6).all()
 
 
-def test_the_time_to_fall_while_the_motion_is_damped_is_a_stop_ramp():
-    arm = Arm()
-    arm.stop(1.0)
-    assert arm.controller.shaper.time_to_fall == RAMP
+def test_efforts_that_are_held_do_not_contain_damping():
+    arm, plain = Stopped(on_stale_state=StalePolicy.HOLD), Stopped(stop_damping=0.0)
+    arm.stop(0.1)
+    arm.loop.resume()
+    arm.now += 1.0
+    assert arm.run(has_states=False)[-1] == pytest.approx(plain.stop(0.1)[-1])
+    assert arm.phase is Phase.STATE_LOST
+
+
+def test_a_start_does_not_continue_the_damping():
+    arm = Stopped()
+    arm.stop(0.1)
+    arm.loop.start()
+    assert not arm.stop(0.1).any()
+    assert not arm.is_damped
+
+
+def test_settings_that_change_under_way_apply_to_the_next_stop():
+    arm, other = Stopped(), Stopped()
+    for each in (arm, other):
+        each.stop(0.1)
+    other.change(stop_damping=10.0, effort_scale=3.0, effort_limits=0.1)
+    assert other.run(0.5) == pytest.approx(arm.run(0.5))
 
 
 # In simulation, with 5 ms of delay and 0.01 rad/s of noise
