@@ -323,6 +323,14 @@ class Promises:
         require((change <= bound).all(), 'a step beyond motion', change, bound)
         return is_motion
 
+    def check_settled(self):
+        """Check the last command of an arm at rest, after all ramps and blends."""
+        require(self.history, f'no efforts are computed: {self.node.loop.phase}')
+        last, limits, scale = self.history[-1], self.limits, self.node.settings.effort_scale
+        expected = np.clip(scale * self._efforts(last.q, last), -limits, limits)
+        error = np.abs(last.efforts - expected)
+        require((error <= ROUNDING).all(), 'efforts of an arm at rest', last.efforts, expected)
+
     def _check_sent(self, efforts, sent, passed, step):
         if sent is None:
             require(not self.last_sent.any(), 'silence while the robot holds', self.last_sent)

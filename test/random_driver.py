@@ -24,7 +24,7 @@ from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
-from promises import BrokenPromiseError, Promises
+from promises import BrokenPromiseError, Promises, require
 from robot_files import ROOT
 from states import store_state
 
@@ -36,7 +36,7 @@ SETTINGS = {
     'state_timeout': [0.1, 0.1, 0.5, 1.0],
     'reference_timeout': [0.5, 0.1],
     'on_stale_state': [StalePolicy.ZERO, StalePolicy.ZERO, StalePolicy.HOLD],
-    'start_ramp': [0.5, 0.5, 1.0, 3.0],
+    'start_ramp': [0.5, 0.5, 1.0],
     'stop_ramp': [0.5, 0.5, 1.0],
     'stop_damping': [0.0, 20.0, 200.0],
     'kp': [50.0, 100.0],
@@ -119,7 +119,7 @@ class Arm:
 class Sequence:
     """One robot from its start on."""
 
-    def __init__(self, seed, node_type=Node):
+    def __init__(self, seed):
         pick = self.pick = random.Random(seed)
         self.steady, self.shift = 100.0, 0.0  # [s]; the clock of the node may be shifted
         self.state_period = pick.choice([0.01, 0.01, 0.005, 0.002, 0.001])
@@ -131,7 +131,7 @@ class Sequence:
             np.ones(N),
         )
         self.arm.rate = speeds / self.arm.amplitude
-        self.node = node_type(pick.choice([0, 0, 200, 100]), pick.random() < 0.2, pick)
+        self.node = Node(pick.choice([0, 0, 200, 100]), pick.random() < 0.2, pick)
         self.promises = Promises(self.node)
         self.offset = np.zeros(N)  # of the reported positions
         self.lag = pick.choice([0.0, 0.0, 0.03, 0.06])  # [s]; of all states as a whole
@@ -152,6 +152,23 @@ class Sequence:
             self.events += 1
             action(self)
             self.run(self.pick.choice([0.0, 0.0, 0.02, 0.05, 0.1, 0.3, 0.7]))
+        return self
+
+    def settle(self):
+        """Check that all ramps and blends end at the computed efforts, and a stop at zero."""
+        node, loop = self.node, self.node.loop
+        self.arm.rate, self.acceleration, self.wrench = np.zeros(N), None, None
+        self.state_period, self.jitter, node.is_dry_run = 0.01, 0.0, False
+        for name, value in (('start_ramp', 0.5), ('stop_ramp', 0.5), ('stop_damping', 0.0)):
+            self.set(name, value)
+        self.set('effort_rate_limits', math.inf)
+        self.run(1.2)  # a fall ends, and states have been back for a while
+        loop.resume()
+        self.run(1.4)
+        self.promises.check_settled()
+        self.stop()
+        self.run(0.7)
+        require(not loop.shaper.command.any(), 'efforts after a stop', loop.shaper.command)
         return self
 
     def step(self):
@@ -332,6 +349,9 @@ class Sequence:
         self.acceleration = np.array([self.pick.uniform(-1.0, 1.0) for _ in NAMES])
         self.distance = self.pick.choice([None, self.pick.uniform(-0.7, 0.7)])
 
+    def send_absurd_reference(self):
+        self.acceleration, self.distance = np.full(N, 1e308), None
+
     def end_reference(self):
         self.acceleration = None
 
@@ -368,15 +388,16 @@ ACTIONS = [
     Sequence.change_reference,
     Sequence.change_reference,
     Sequence.change_reference,
+    Sequence.send_absurd_reference,
     Sequence.end_reference,
 ]
 
 
-def play(seed, actions=20, node_type=Node):
+def play(seed, actions=20):
     """Play one sequence; return the numbers of events, of commands, and of damped ones."""
-    sequence = Sequence(seed, node_type)
+    sequence = Sequence(seed)
     try:
-        sequence.play(actions)
+        sequence.play(actions).settle()
     except BrokenPromiseError as error:
         where = f'sequence {seed}, {sequence.steady - 100.0:.4f} s'
         raise BrokenPromiseError(f'{where}: {error}') from None

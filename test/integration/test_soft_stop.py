@@ -14,7 +14,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import JointState
-from soft_stops import ARMS
+from simulated_arm import HORIZONTAL_ARMS
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
@@ -198,7 +198,7 @@ def simulated(domain_id, path, start):
 
 
 def test_an_arm_is_parked(domain_id, run_node, robot):
-    path, _, start = ARMS['gripper_arm']
+    path, _, start = HORIZONTAL_ARMS['gripper_arm']
     states, brakes = [], []
     robot.node.create_subscription(JointState, 'joint_states', states.append, 1000)
     robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)

@@ -9,7 +9,7 @@ from inverse_dynamics_node.control.stop_damping import AT_REST, TIMEOUT
 import numpy as np
 import pytest
 from robot_files import ROOT
-from soft_stops import ARMS, SoftStop, STOP
+from simulated_arm import HORIZONTAL_ARMS, SoftStop, STOP
 from states import Arm, PERIOD, PLANAR, Q, REST, store_state
 
 DYNAMICS = InverseDynamics(PLANAR)
@@ -309,7 +309,7 @@ arms = pytest.mark.parametrize(
     'arm',
     [
         pytest.param(name, marks=[] if name == 'gripper_arm' else pytest.mark.long)
-        for name, (path, *_) in ARMS.items()
+        for name, (path, *_) in HORIZONTAL_ARMS.items()
         if path
     ],
 )
