@@ -75,8 +75,8 @@ test-all: $(VENV)/test.done lint
 	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
 	@cat $(SUMMARY)
 
-FUZZED := test/property/test_urdf_fuzz.py test/property/test_stop_laws.py \
-    test/property/test_mode_laws.py test/property/test_laws.py test/property/test_load_laws.py
+FUZZED := test/property/test_urdf_fuzz.py test/property/test_mode_laws.py \
+    test/property/test_laws.py test/property/test_load_laws.py
 
 # One processor compiles for the tests while mypy keeps the other busy.
 lint: $(VENV)/test.done

@@ -45,7 +45,7 @@ SETTINGS = {
     'friction_scale': [0.8, 0.3],
     'guiding_damping': [0.0, 2.0],
     'velocity_filter_cutoff': [0.0, 20.0],
-    'effort_scale': [1.0, 0.8],
+    'effort_scale': [1.0, 0.8, -1.0],
     'effort_limits': [math.inf, 30.0],
     'effort_rate_limits': [math.inf, math.inf, 50.0],
     'wrench_timeout': [0.05, 0.1, 1.0],
@@ -165,6 +165,7 @@ class Sequence:
         self.run(1.2)  # a fall ends, and states have been back for a while
         loop.resume()
         self.run(1.4)
+        self.step()  # with the last loads
         self.promises.check_settled()
         self.stop()
         self.run(0.7)
@@ -356,40 +357,17 @@ class Sequence:
         self.acceleration = None
 
 
+# Some are more likely than others.
 ACTIONS = [
-    Sequence.change_mode,
-    Sequence.change_setting,
-    Sequence.change_setting,
-    Sequence.change_setting,
-    Sequence.toggle_gravity,
-    Sequence.toggle_friction,
-    Sequence.stop,
-    Sequence.stop_and_sink,
-    Sequence.stop_and_sink,
-    Sequence.stop_and_lose_states,
-    Sequence.resume,
-    Sequence.resume,
-    Sequence.resume,
-    Sequence.toggle_dry_run,
-    Sequence.lose_states,
-    Sequence.lose_states,
-    Sequence.suspend,
-    Sequence.suspend,
-    Sequence.jump_clock,
-    Sequence.send_part,
-    Sequence.send_invalid,
-    Sequence.shift_positions,
-    Sequence.contradict,
-    Sequence.set_payload,
-    Sequence.set_payload,
-    Sequence.toggle_wrench,
-    Sequence.change_gravity,
-    Sequence.turn_base,
-    Sequence.change_reference,
-    Sequence.change_reference,
-    Sequence.change_reference,
-    Sequence.send_absurd_reference,
-    Sequence.end_reference,
+    *(Sequence.change_mode, *3 * [Sequence.change_setting]),
+    *(Sequence.toggle_gravity, Sequence.toggle_friction),
+    *(Sequence.stop, *2 * [Sequence.stop_and_sink], Sequence.stop_and_lose_states),
+    *(*3 * [Sequence.resume], Sequence.toggle_dry_run),
+    *(*2 * [Sequence.lose_states], *2 * [Sequence.suspend], Sequence.jump_clock),
+    *(Sequence.send_part, Sequence.send_invalid, Sequence.shift_positions, Sequence.contradict),
+    *(*2 * [Sequence.set_payload], Sequence.toggle_wrench),
+    *(Sequence.change_gravity, Sequence.turn_base),
+    *(*3 * [Sequence.change_reference], Sequence.send_absurd_reference, Sequence.end_reference),
 ]
 
 

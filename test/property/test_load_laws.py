@@ -135,27 +135,6 @@ def test_joint_wrenches_along_the_axes_are_the_efforts_without_friction_and_arma
 # Friction and armature
 
 
-@given(robots_with_states(), seeds)
-def test_friction_never_drives_a_joint(case, rng):
-    _, robot, (q, qd, qdd) = case
-    calls = random_loads(robot, rng)
-    dynamics = apply(InverseDynamics(robot), calls)
-    friction = dynamics.effort_terms(q, qd, qdd).friction
-    # Compared with the efforts without friction: a difference of two calls, with any loads.
-    total = dynamics.efforts(q, qd, qdd)
-    dynamics.set_friction(0.0, 0.0)
-    rigid = dynamics.efforts(q, qd, qdd)
-    dynamics.set_armature(0.0)
-    load = dynamics.efforts(q, qd, qdd)
-    damping, coulomb, width, eta = dict(calls)['set_friction']
-    expected = damping * qd + (coulomb + eta * np.abs(load)) * np.tanh(qd / width)
-    scale = max(np.abs(total).max(), np.abs(rigid).max())  # friction may cancel the other efforts
-    assert (friction * qd >= 0.0).all()
-    assert ((total - rigid) * qd >= -1e-12 * scale * np.abs(qd)).all()
-    np.testing.assert_allclose(friction, expected, rtol=1e-9, atol=1e-12 * scale)
-    np.testing.assert_allclose(total - rigid, expected, rtol=0, atol=1e-12 * scale)
-
-
 def set_drives(dynamics, rng):
     """Set coupled drives, springs and all kinds of friction; return their numbers."""
     n = len(dynamics.robot.joint_names)
@@ -273,18 +252,6 @@ def test_coriolis_efforts_depend_on_the_base_only_by_its_angular_velocity(case, 
 
 
 # A base that moves
-
-
-@given(robots_with_states(), seeds)
-def test_accelerating_against_gravity_is_gravity(case, rng):
-    _, robot, state = case
-    calls = [call for call in random_loads(robot, rng) if call[0] != 'set_base_motion']
-    calls = [call for call in calls if call[0] != 'set_gravity']
-    falling = apply(InverseDynamics(robot, GRAVITY), calls)
-    lifted = apply(InverseDynamics(robot, gravity=(0.0, 0.0, 0.0)), calls)
-    assert differs(everything(lifted, *state)['forces'], everything(falling, *state)['forces'])
-    lifted.set_base_motion(linear_acceleration=-GRAVITY)
-    assert_same(everything(lifted, *state), everything(falling, *state), 1e-14)
 
 
 @given(robots_with_states(), seeds)

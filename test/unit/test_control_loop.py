@@ -2,7 +2,7 @@
 
 import math
 
-from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop, Phase
@@ -216,11 +216,6 @@ def test_contradictory_positions_of_another_joint_do_not_stop_the_arm():
     assert largest > 1.0
     assert np.abs(np.diff(efforts, axis=0)).max() <= 2.0 * largest * 0.005 / 0.5
     assert loop.phase is Phase.FLOATING
-
-
-def test_a_joint_cannot_be_both_commanded_and_locked():
-    with pytest.raises(ConfigurationError, match=f"joint '{NAMES[2]}' is both commanded and lock"):
-        ControlLoop(MODEL, NAMES, locked={NAMES[2]: 0.0})
 
 
 def test_the_base_link_is_the_root_unless_another_one_is_set():

@@ -14,11 +14,12 @@ import pytest
 from states import store_state
 
 NAN = math.nan
+ARM = ['shoulder', 'elbow', 'wrist']
 
 
 @pytest.fixture
 def collector():
-    return JointStateCollector(['shoulder', 'elbow', 'wrist'])
+    return JointStateCollector(ARM)
 
 
 def test_joints_are_found_by_name_in_any_order_among_others(collector):
@@ -34,22 +35,6 @@ def test_there_is_no_state_before_every_joint_was_reported(collector):
     store_state(collector, 1.0, ['wrist', 'shoulder'], [1.0, 2.0], [])
     assert collector.state() is None
     assert collector.missing() == ['elbow']
-
-
-def test_names_that_resemble_the_missing_ones_are_remembered(collector):
-    store_state(collector, 1.0, ['wheel', 'x' * 1000, 'sholder', 'wrist'], [0.0] * 4, [])
-    assert similar_names(collector) == ['sholder']
-    store_state(collector, 1.0, ['elbow_joint'], [0.0], [])
-    assert similar_names(collector) == ['sholder', 'elbow_joint']
-    store_state(collector, 1.0, ['elbow', 'shoulder'], [0.0] * 2, [])
-    assert similar_names(collector) == []
-
-
-def test_a_flood_of_names_is_not_remembered(collector):
-    for k in range(1000):
-        store_state(collector, 1.0, [f'sensor{k}'], [0.0], [])
-    store_state(collector, 1.0, ['sholder'], [0.0], [])
-    assert similar_names(collector) == []
 
 
 def test_a_state_arrives_in_parts_and_is_as_old_as_the_oldest(collector):
@@ -114,54 +99,67 @@ def test_velocities_that_several_publishers_lose_and_regain_are_noticed_every_ti
         assert collector.without_velocity() == ['elbow', 'wrist']
 
 
-@pytest.mark.parametrize('before', [[0.2], []], ids=['after a while', 'as the first one'])
-def test_an_infinite_velocity_is_rejected(collector, before):
-    store_state(collector, 1.0, ['elbow'], [2.0], before)
-    with pytest.raises(JointStateError, match="velocity of joint 'elbow' is inf"):
-        store_state(collector, 9.0, ['elbow'], [2.0], [math.inf])
-
-
 def test_a_velocity_from_before_a_clock_reset_is_not_awaited(collector):
     store_state(collector, 9.0, ['elbow'], [2.0], [0.2])
     store_state(collector, 1.0, ['elbow'], [2.5], [])
     assert collector.q[1] == 2.5
 
 
+TWO, TWICE = ['wrist', 'elbow'], ['elbow', 'elbow']
+
+
 @pytest.mark.parametrize(
-    ('positions', 'velocities', 'words'),
+    ('names', 'values', 'words'),
     [
-        ([1.0, math.inf], [], "position of joint 'elbow' is inf"),
-        ([NAN, -math.inf], [], "position of joint 'elbow' is -inf"),
-        ([NAN, 2.5], [math.inf, 0.1], "velocity of joint 'wrist' is inf"),
-        ([1.0], [], '2 names, but 1 positions'),
-        ([], [], '2 names, but 0 positions'),
-        ([1.0, 2.0], [1.0], '2 names, but 1 velocities'),
+        (TWO, ([1.0, math.inf], []), "position of joint 'elbow' is inf"),
+        (TWO, ([NAN, -math.inf], []), "position of joint 'elbow' is -inf"),
+        (TWO, ([NAN, 2.5], [math.inf, 0.1]), "velocity of joint 'wrist' is inf"),
+        (TWO, ([1.0], []), '2 names, but 1 positions'),
+        (TWO, ([], []), '2 names, but 0 positions'),
+        (TWO, ([1.0, 2.0], [1.0]), '2 names, but 1 velocities'),
+        (TWO, ([1.0, 2.0], [], [3.0]), '2 names, but 1 efforts'),
+        (TWICE, ([1.0, 2.0], []), "'elbow' is named twice"),
     ],
 )
+@pytest.mark.parametrize('before', [[0.1, 0.2], []])
 def test_rejects_invalid_states_with_a_reason_and_changes_nothing(
-    collector, positions, velocities, words
+    collector, names, values, words, before
 ):
-    store_state(collector, 1.0, ['wrist', 'elbow'], [3.0, 2.0], [])
+    store_state(collector, 1.0, TWO, [3.0, 2.0], before)
     with pytest.raises(JointStateError, match=words):
-        store_state(collector, 2.0, ['wrist', 'elbow'], positions, velocities)
+        store_state(collector, 2.0, names, *values)
     assert collector.q.tolist() == [0.0, 2.0, 3.0]
     assert collector.times.tolist() == [-math.inf, 1.0, 1.0]
 
 
-def test_ignores_other_joints_that_are_named_twice(collector):
+def test_ignores_other_joints_whatever_their_names_and_lengths(collector):
+    for values in ([], [], []), ([1.0], [1.0, 2.0], [1.0]), ([math.inf], [math.inf]):
+        assert not store_state(collector, 1.0, ['wheel'], *values)
+        assert not store_state(collector, 1.0, [], *values)
     assert store_state(collector, 1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
     assert collector.missing() == ['shoulder', 'wrist']
 
 
-def test_ignores_a_message_without_joints_of_the_robot_whatever_its_lengths(collector):
-    for values in ([], [], []), ([1.0], [1.0, 2.0], [1.0]), ([math.inf], [math.inf]):
-        assert not store_state(collector, 1.0, ['wheel'], *values)
-        assert not store_state(collector, 1.0, [], *values)
+FLOOD = [[f'sensor{k}'] for k in range(1000)]
 
 
-def test_rejects_a_joint_that_is_named_twice(collector):
-    with pytest.raises(JointStateError, match="'elbow' is named twice"):
-        store_state(collector, 1.0, ['elbow', 'elbow'], [1.0, 2.0], [])
+@pytest.mark.parametrize(
+    ('joints', 'messages', 'similar'),
+    [
+        (ARM, [['wheel', 'x' * 1000, 'sholder', 'wrist']], ['sholder']),
+        (ARM, [['wrist', 'sholder'], ['elbow_joint']], ['sholder', 'elbow_joint']),
+        (ARM, [['wrist', 'sholder'], ['elbow', 'shoulder']], []),
+        (ARM, [*FLOOD, ['sholder']], []),
+        (ARM, [[*k * ['wheel'], 'wrist'] for k in range(1, 100)] + [['sholder']], ['sholder']),
+        (['elbow_joint', 'other'], [['elbow_joint1', 'elbow_joint12', 'other']], ['elbow_joint1']),
+        (['joint1', 'joint2'], [['joint1']], []),  # of this robot
+    ],
+)
+def test_some_names_that_resemble_the_missing_ones_are_remembered(joints, messages, similar):
+    collector = JointStateCollector(joints)
+    for names in messages:
+        store_state(collector, 1.0, names, [0.0] * len(names), [])
+    assert similar_names(collector) == similar
 
 
 JOINTS = ['arm', 'wrist', 'finger', 'thumb']  # two of them commanded, one locked
@@ -233,7 +231,7 @@ def test_a_commanded_joint_with_nan_becomes_stale_and_no_other_joint_does():
     st.lists(st.floats(), max_size=6),
 )
 def test_never_stores_values_that_are_not_finite(names, positions, velocities):
-    collector = JointStateCollector(['shoulder', 'elbow', 'wrist'])
+    collector = JointStateCollector(ARM)
     for _ in range(2):
         with contextlib.suppress(JointStateError):
             store_state(collector, 1.0, names, positions, velocities)
@@ -263,50 +261,30 @@ def test_a_locked_joint_is_never_stale():
     assert collector.state().time == 9.0
 
 
-@pytest.mark.parametrize('locked', [{'nope': 0.0}, {'finger': math.nan}])
-def test_rejects_invalid_locked_positions(locked):
-    with pytest.raises(ConfigurationError, match=next(iter(locked))):
-        JointStateCollector(['arm', 'finger'], locked)
+@pytest.mark.parametrize(
+    ('locked', 'words'),
+    [
+        ({'nope': 0.0}, 'nope.*, expected only joints of the robot: arm, finger, thumb'),
+        ({'finger': math.nan}, "position of joint 'finger' is nan"),
+        ({'arm': 0.0}, "joint 'arm' is both commanded and locked"),
+    ],
+)
+def test_rejects_invalid_locked_positions(locked, words):
+    with pytest.raises(ConfigurationError, match=words):
+        hand(locked)
 
 
-def test_efforts_are_kept_by_name():
-    collector = JointStateCollector(['a', 'b'])
-    store_state(collector, 1.0, ['b', 'x'], [0.0, 0.0], [], [3.0, 4.0])
-    assert math.isnan(collector.efforts[0])
-    assert collector.efforts[1] == 3.0
-    with pytest.raises(JointStateError, match='2 names, but 1 efforts'):
-        store_state(collector, 1.0, ['a', 'b'], [0.0, 0.0], [], [3.0])
-
-
-def test_efforts_of_one_joint_are_kept_and_renewed(collector):
+def test_efforts_are_kept_by_name_and_renewed(collector):
     for effort in (3.0, 4.0, 5.0):
-        store_state(collector, 1.0, ['elbow'], [0.0], [0.1], [effort])
+        store_state(collector, 1.0, ['elbow', 'x'], [0.0, 0.0], [0.1, 0.1], [effort, 9.0])
         assert collector.efforts[1] == effort
+    assert np.isnan(collector.efforts[[0, 2]]).all()
 
 
 def test_a_state_is_stale_only_after_the_timeout(collector):
     store_state(collector, 1.0, collector.joint_names, [1.0, 2.0, 3.0], [])
     assert collector.stale(2.0, 1.0) == []
     assert collector.stale(2.125, 1.0) == list(collector.joint_names)
-
-
-def test_only_the_closest_of_similar_names_is_mentioned():
-    collector = JointStateCollector(['elbow_joint', 'other'])
-    store_state(collector, 1.0, ['elbow_joint1', 'elbow_joint12', 'other'], [0.0] * 3, [])
-    assert similar_names(collector) == ['elbow_joint1']
-
-
-def test_reported_joints_of_this_robot_do_not_resemble_missing_ones():
-    collector = JointStateCollector(['joint1', 'joint2'])
-    store_state(collector, 1.0, ['joint1'], [0.0], [])
-    assert similar_names(collector) == []
-
-
-def test_repeated_names_of_others_leave_room_for_new_ones(collector):
-    for k in range(1, 100):
-        store_state(collector, 1.0, ['wheel'] * k + ['wrist'], [0.0] * (k + 1), [])
-    store_state(collector, 1.0, ['sholder'], [0.0], [])
-    assert similar_names(collector) == ['sholder']
 
 
 def test_messages_that_never_repeat_their_names_do_not_fill_the_memory(collector):
@@ -354,9 +332,3 @@ def test_the_first_report_of_a_locked_joint_is_an_event_until_it_is_read():
     store_state(collector, 1.0, ['thumb'], [0.3], [])
     store_state(collector, 1.1, HAND[:2], [0.0] * 2, [])
     assert [events(collector, 1.1).has_changed for _ in range(2)] == [True, False]
-
-
-def test_a_locked_joint_that_does_not_exist_is_named_with_those_that_do():
-    words = r'nope.*, expected only joints of the robot: arm, finger, thumb'
-    with pytest.raises(ConfigurationError, match=words):
-        hand({'nope': 0.0})
