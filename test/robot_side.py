@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
+from rclpy.duration import Duration
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -66,6 +67,7 @@ class RobotSide:
         self.joint_efforts = []
         self.peer = 'inverse_dynamics'  # the node whose services are called
         self.sent = 0  # timer events, RATE per second if the machine is fast enough
+        self.age = 0.0  # [s]; of the stamps of joint states
         self.state = None
         self.last_state = 0.0  # steady time at which the last joint state was published [s]
         self._clients = {}
@@ -94,7 +96,8 @@ class RobotSide:
     def _on_timer(self):
         self.sent += 1
         if self.state is not None:
-            self.state.header.stamp = self.node.get_clock().now().to_msg()
+            stamp = self.node.get_clock().now() - Duration(seconds=self.age)
+            self.state.header.stamp = stamp.to_msg()
             self.last_state = time.monotonic()
             self._states.publish(self.state)
         for publisher, message in self._always:

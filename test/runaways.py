@@ -126,9 +126,9 @@ class Runaway:
             self.driven_beyond = max(self.driven_beyond, beyond.max())
             self.top_speed = max(self.top_speed, np.max(speeds, where=is_driven, initial=0.0))
             states.append((self.axis * q + self.zero, self.axis * self.of_velocity * qd))
-            store_state(
-                loop.collector, now, self.robot.joint_names, *states[max(0, k - self.delay)]
-            )
+            loop.collector.delay = PERIOD * min(k, self.delay)  # as the stamps show it
+            state = states[max(0, k - self.delay)]
+            store_state(loop.collector, now, self.robot.joint_names, *state)
             if now >= BEGIN:
                 self._act(now)
             efforts = loop.step(now).efforts

@@ -17,7 +17,8 @@ Q, REST = np.array([0.4, -0.7]), np.zeros(2)  # of a planar arm
 
 def joint_state(q, qd, time, times=None):
     """Return a state of which all joints were reported at one time, unless times are given."""
-    return State(q, qd, time, np.full(len(q), time) if times is None else times)
+    times = np.full(len(q), time) if times is None else times
+    return State(q, qd, time, times, np.ones(len(q), dtype=bool))
 
 
 def store_state(collector, now, names, *values):

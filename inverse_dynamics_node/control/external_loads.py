@@ -94,7 +94,7 @@ class ExternalLoads:
         pairs: Any = zip(payload, last, strict=True)
         if all(np.array_equal(one, other) for one, other in pairs):
             return False
-        self._has_jumped = self.needs_update = True
+        self._note(may_jump=True)
         self.dynamics.set_payload(link, *payload)
         self.payloads.pop(link, None)
         if payload is not NO_PAYLOAD:
@@ -120,8 +120,7 @@ class ExternalLoads:
         age = now - self._wrench_times.get(link, -math.inf)
         self._wrench_times[link] = now
         is_new = not 0.0 <= age <= self.settings.wrench_timeout
-        self._has_jumped |= is_new
-        self.needs_update = True
+        self._note(may_jump=is_new)
         return is_new
 
     def set_gravity(self, gravity: ArrayLike, now: float = -math.inf) -> None:
@@ -139,8 +138,7 @@ class ExternalLoads:
         self._write_base()
         is_stream = 0.0 <= elapsed <= _GRAVITY_PERIOD
         largest = _GRAVITY_RATE * elapsed if is_stream else 0.0
-        self.needs_update = True
-        self._has_jumped |= float(np.linalg.norm(self.gravity - last)) > largest
+        self._note(may_jump=float(np.linalg.norm(self.gravity - last)) > largest)
 
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
@@ -164,8 +162,7 @@ class ExternalLoads:
         )
         self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
         self._write_base()
-        self._has_jumped |= was_lost
-        self.needs_update = True
+        self._note(may_jump=was_lost)
 
     def expect_new_signal(self) -> None:
         """Restart the filter at the next call of `set_base_motion`."""
@@ -204,7 +201,7 @@ class ExternalLoads:
         """Include or exclude gravity and the acceleration of the base from now on."""
         if gravity is not self.include_gravity:
             self.include_gravity = gravity
-            self._has_jumped = self.needs_update = True
+            self._note(may_jump=True)
             self._write_base()
 
     @contextmanager
@@ -224,6 +221,10 @@ class ExternalLoads:
         """Current free-fall acceleration in the root frame [m/s^2]."""
         at_root: Floats = self._R_0B @ self.gravity
         return at_root
+
+    def _note(self, *, may_jump: bool) -> None:
+        self._has_jumped |= may_jump
+        self.needs_update = True
 
     def _write_base(self) -> None:
         self._write_gravity(self.include_gravity)

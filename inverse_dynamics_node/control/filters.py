@@ -48,19 +48,14 @@ class LowPass:
         than ``longest_gap``, or if ``restarts`` is true for this element.
 
         """
-        elapsed = time - self._time
-        self._time = time if isinstance(time, float) else np.array(time)
+        elapsed = np.subtract(time, self._time)
+        self._time = np.array(time)
         if not self.cutoff:
             self.value = sample.copy()
             return self.value
         rate = -2.0 * math.pi * self.cutoff
-        weight: float | Floats
-        if isinstance(elapsed, float):  # takes half the time of the general case
-            is_continued = 0.0 <= elapsed <= longest_gap and not restarts
-            weight = -math.expm1(rate * elapsed) if is_continued else 1.0
-        else:
-            is_continued = (elapsed >= 0.0) & (elapsed <= longest_gap) & np.logical_not(restarts)
-            weight = -np.expm1(rate * np.abs(elapsed))
+        is_continued = (elapsed >= 0.0) & (elapsed <= longest_gap) & np.logical_not(restarts)
+        weight = -np.expm1(rate * np.abs(elapsed))
         with np.errstate(all='ignore'):
             value = self.value + weight * (sample - self.value)
         self.value = np.where(is_continued & np.isfinite(value), value, sample)

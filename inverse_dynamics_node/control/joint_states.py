@@ -47,8 +47,10 @@ class State(NamedTuple):
     """Oldest arrival time among the commanded joints [s]."""
     times: Floats
     """Arrival time of each joint's state, shape (n,) [s]."""
-    has_velocity: Booleans | None = None
-    """Which joints have a measured velocity, shape (n,); None if all have one."""
+    has_velocity: Booleans
+    """Which joints have a measured velocity, shape (n,)."""
+    delay: float = 0.0
+    """Time from measurement to arrival [s], if known."""
 
 
 class Events(NamedTuple):
@@ -80,8 +82,6 @@ class Layout:
     """Indices of the k known joints, in the robot (row 0) and in the message (row 1)."""
     received: Floats
     """Positions, velocities and efforts of the last message, shape (3, number of names)."""
-    has_joints: bool
-    """Whether the message names any joint of this robot."""
 
 
 class JointStateCollector:
@@ -128,6 +128,8 @@ class JointStateCollector:
         self._is_resting = np.zeros(n, dtype=bool)
         self._has_resting = False
         compile_kernels()
+        self.delay = 0.0
+        """Time from measurement to arrival of the states, set by the caller if known [s]."""
         self.time = self._other_time = -math.inf
         """Oldest arrival time among the commanded joints [s]; -inf until all were reported."""
         self._find_oldest()
@@ -141,7 +143,7 @@ class JointStateCollector:
             raise JointStateError(f"joint '{joint}' is named twice")
         self._remember_foreign_names(names)
         places = np.array([in_robot, in_message], np.int64)
-        return Layout(names, places, np.zeros((3, len(names))), len(in_robot) > 0)
+        return Layout(names, places, np.zeros((3, len(names))))
 
     def store(
         self,
@@ -169,7 +171,7 @@ class JointStateCollector:
 
         """
         names = layout.names
-        if not layout.has_joints:
+        if not layout.places.size:
             return False
         if len(positions) != len(names):
             raise JointStateError(f'received {len(names)} names, but {len(positions)} positions')
@@ -214,7 +216,7 @@ class JointStateCollector:
         """Return the latest state; None until all unlocked joints have been reported."""
         if self.time == -math.inf or self._other_time == -math.inf:
             return None
-        return State(self.q, self.qd, self.time, self.times, self._has_velocity)
+        return State(self.q, self.qd, self.time, self.times, self._has_velocity, self.delay)
 
     def missing(self) -> list[str]:
         """Return the unlocked joints that were never reported."""

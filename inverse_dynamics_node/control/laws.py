@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
-from ..robot.model import Floats, RobotModel
+from ..robot.model import Booleans, Floats, RobotModel
 from .filters import LowPass
 from .joint_states import LATE_AFTER, State
 from .settings import Mode, Settings
@@ -114,6 +114,22 @@ class Law:
     def followed(self) -> Reference | None:
         """The reference that the last command followed, if any."""
         return self._last_reference if self._has_last_inputs else None
+
+    def unstable_gains(self, q: Floats, delay: float) -> tuple[Booleans, Floats]:
+        """
+        Return which joints may oscillate if velocities are late by ``delay`` [s], shape (m,).
+
+        A delay T makes damping unstable if it exceeds about I / T, and stiffness if it exceeds
+        about I / T^2. The second result is I, shape (m,): the inertia of each joint [kg m^2 or
+        kg], or 1 if the law multiplies gains by it.
+
+        """
+        assert self.gains is not None
+        inertia = np.ones(len(self._no_efforts))
+        if self.holds:
+            inertia = self.dynamics.mass_matrix(q).diagonal()[self._index]
+        damping, stiffness = (self._of_joint[name] for name in self.gains)
+        return (delay * damping > inertia) | (delay**2 * stiffness > inertia), inertia
 
     def measured(self, state: State) -> Floats:
         """Return the positions of the commanded joints, shape (m,) [rad or m]."""

@@ -34,6 +34,7 @@ _OF_INPUTS = (
     'limit_margin',
     'limit_stiffness',
 )
+_USUAL_DELAY = 0.01  # [s]; of joint states; a shorter delay is not compared with the gains
 _TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the next state
 
 
@@ -314,14 +315,7 @@ class ControlLoop:
             self.law = kind(self.dynamics, self.index)
         self.law.apply(settings, of_joint)
         self.supervisor.apply(settings, self.law)
-        speed = of_joint['velocity_limits']
-        of_urdf = robot.velocity_limits[self.index]
-        self.motion_limits.configure(
-            np.where(speed < 0.0, of_urdf, np.where(speed == 0.0, math.inf, speed)),
-            settings.guiding_speed,
-            of_joint['limit_margin'],
-            of_joint['limit_stiffness'],
-        )
+        self.motion_limits.apply(settings, of_joint)
         self.shaper.configure(
             of_joint['effort_scale'],
             limits,
@@ -535,13 +529,22 @@ class ControlLoop:
             self.blend()
         if seen.has_moved:
             self.law.release()
-        is_closed = phase is Phase.RUNNING and self.law.is_closed
-        if not seen.finding or (seen.finding is Finding.JUMP and not is_closed):
-            return  # without feedback of the position, a jump is only bridged
+        is_closed, problem = phase is Phase.RUNNING and self.law.is_closed, seen.text
+        if seen.finding is Finding.JUMP and not is_closed:
+            problem = ''  # without feedback of the position, a jump is only bridged
+        if is_closed and state.delay > _USUAL_DELAY and not problem:
+            is_unstable, _ = self.law.unstable_gains(state.q, state.delay)
+            if is_unstable.any():
+                problem = (
+                    f'{self.joints[int(np.argmax(is_unstable))]} may oscillate with these gains, '
+                    f'because joint states are {1e3 * state.delay:.0f} ms old when they arrive'
+                )
+        if not problem:
+            return
         if not is_live:
-            self.motion_problem = seen.text, now
+            self.motion_problem = problem, now
         elif phase in COMPUTING_PHASES or self.stop_damping.is_active:
-            self.limit_stop(seen.text)
+            self.limit_stop(problem)
 
     def drive_reference(self) -> tuple[Floats, Floats]:
         """Return positions and velocities to send with the last command; see `DriveReference`."""

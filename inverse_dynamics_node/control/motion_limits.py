@@ -11,6 +11,7 @@ and are not damped, because the sign of a command may be what is wrong.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import enum
 import math
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Floats
 from .joint_states import State
+from .settings import Settings
 
 LIMIT_RAMP = 0.01
 """Time in which the efforts fall to zero in a limit stop [s]."""
@@ -28,9 +30,7 @@ _FADING = 0.1  # fraction of the speed limit over which efforts in the direction
 _RETURN = 0.2  # [s]; time in which faded efforts return
 _QUICK_RETURN = 0.03  # [s]; the same for efforts that have begun to oppose the motion
 _OVERSHOOT = 1.1  # [speed limits]; a joint that follows a reference at its limit may overshoot
-_CLEARLY = 1.5  # a single state that exceeds a limit by this factor suffices, if positions agree
-_AGREEING = 1.2  # positions agree if they exceed the limit by this factor
-_LEAST_TIME = 0.004  # [s]; otherwise, the states must exceed the limit for this time
+_LEAST_TIME = 0.004  # [s]; the states must exceed the limit for this time
 _BURST = 0.06  # [s]; states may be delayed for this long and then arrive together
 _SHORTEST = 0.002  # [s]; shortest interval for a speed that is taken from positions
 _FILTER = 0.05  # [s]; time constant of a speed that is taken from positions
@@ -89,21 +89,21 @@ class MotionLimits:
     """
     Compares the motion of the commanded joints with their limits.
 
-    Two speed limits apply. While a joint follows a reference, its limit is ``speed``. While the
-    arm floats, holds its position or is guided by hand, the limit is the fraction ``guiding`` of
-    it. Efforts in the direction of motion fade over the last tenth of the limit, so that an arm
-    that is pushed by hand becomes heavier. Whoever pushes on meets the resistance of the arm's
-    own weight and inertia. At twice this fraction, the arm is stopped.
+    Two speed limits apply. While a joint follows a reference, its limit is ``velocity_limits``.
+    While the arm floats, holds its position or is guided by hand, the limit is the fraction
+    ``guiding_speed`` of it. Efforts in the direction of motion fade over the last tenth of the
+    limit, so that an arm that is pushed by hand becomes heavier. Whoever pushes on meets the
+    resistance of the arm's own weight and inertia. At twice this fraction, the arm is stopped.
 
     A joint that follows a reference at more than 1.1 times its limit is driven by the efforts. The
     arm is then stopped, unless the joint becomes slower.
 
-    A one-sided spring and damper keeps each joint from its position limits. It begins ``margin``
-    before the limit. It never pulls towards the limit, so it takes energy out of the motion.
+    A one-sided spring and damper keeps each joint from its position limits. It begins
+    ``limit_margin`` before the limit. It never pulls towards the limit, so it takes energy out of
+    the motion.
 
     A position that changes at more than twice the speed limit is a jump, and not a motion. The
-    caller must then blend the efforts.
-    This is the only thing that is observed of the joints that are not commanded.
+    caller must then blend the efforts. Nothing else is observed of joints that are not commanded.
 
     ``index`` contains the indices of the m commanded joints among the n joints of the robot.
 
@@ -120,9 +120,7 @@ class MotionLimits:
         self._commanded = self._rows[:, : len(index)]  # a view
         self._of_urdf = self._commanded[_FASTEST].copy()
         self._found = np.zeros(2)
-        self._all = np.ones(len(robot.joint_names), dtype=bool)
         self._none = np.zeros(len(index))
-        self.configure(robot.velocity_limits[index], 0.5, self._none, self._none)
         self.reset()
         compile_for(
             observe_joints,
@@ -130,17 +128,13 @@ class MotionLimits:
         )
         compile_for(restrain, 'void(f8[:,::1], f8[::1], f8[::1], f8, f8)')
 
-    def configure(self, speed: Floats, guiding: float, margin: Floats, stiffness: Floats) -> None:
-        """
-        Set the limits.
-
-        ``speed`` contains the speed limits, shape (m,) [rad/s or m/s]; inf means none. ``guiding``
-        is a fraction of them. ``margin`` [rad or m] and ``stiffness`` [N m/rad or N/m], shape
-        (m,), describe the springs before the position limits.
-
-        """
-        robot = self._dynamics.robot
-        self._commanded[_SPEED], self._guiding = speed, guiding
+    def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
+        """Change the limits; ``of_joint`` is the result of `Settings.expanded`."""
+        robot, given = self._dynamics.robot, of_joint['velocity_limits']
+        speed = np.where(given < 0.0, robot.velocity_limits[self._index], given)
+        speed[speed == 0.0] = math.inf
+        margin, stiffness = of_joint['limit_margin'], of_joint['limit_stiffness']
+        self._commanded[_SPEED], self._guiding = speed, settings.guiding_speed
         fastest = _plausible(speed, robot.is_prismatic_joint[self._index])
         self._commanded[_FASTEST] = np.maximum(self._of_urdf, fastest)
         self._stiffness = stiffness
@@ -162,14 +156,13 @@ class MotionLimits:
 
         """
         factor = _OVERSHOOT if is_following else 2.0 * self._guiding
-        has_velocity = self._all if state.has_velocity is None else state.has_velocity
         found, jump = observe_joints(
             self._rows,
             len(self._index),
             state.q,
             state.qd,
             state.times,
-            has_velocity,
+            state.has_velocity,
             factor,
             self._found,
         )
@@ -335,8 +328,7 @@ def observe_joints(
         else:
             is_slowing = abs(velocity) < abs(last) and velocity * last > 0.0
             rows[_OVER, k] = over + elapsed if over >= 0.0 and not is_slowing else 0.0
-            is_clear = abs(velocity) > _CLEARLY * limit and abs(shown) > _AGREEING * limit
-            if finding == 0 and (is_clear or rows[_OVER, k] >= _LEAST_TIME):
+            if finding == 0 and rows[_OVER, k] >= _LEAST_TIME:
                 finding, found[0], found[1] = 1, k, abs(velocity)
         memory = max(0.0, 1.0 - elapsed / _MEMORY)
         way = memory * (rows[_WAY, k] + step)

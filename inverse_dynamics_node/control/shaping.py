@@ -273,8 +273,6 @@ class CommandShaper:
         """Return the fraction of the blend that is left, and whether the command is repeated."""
         if self._left == 1.0 and not self._has_repeated:
             return 1.0, True
-        if not self._left:
-            return 0.0, False
         return max(0.0, self._left - self.clock.step / self._duration), False
 
     def hold(self) -> None:
@@ -509,17 +507,14 @@ def blend_efforts(
     ``has_rates`` says whether rate limits exist. ``elapsed`` is the time step for rate limits [s].
 
     """
-    # Without numba, floats are faster than numpy scalars, and do not cause warnings.
     m = rows.shape[1]
     for k in range(m):
-        effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])
-        effort *= float(rows[_SCALE, k])
+        effort = rows[_SCALE, k] * (tau[int(rows[_INDEX, k])] + rows[_ADDED, k])
         if not abs(effort) <= LARGEST:  # also false for NaN
             return False
         rows[_WANTED, k] = effort
     for k in range(m):
-        wanted, limit = float(rows[_WANTED, k]), float(rows[_LIMIT, k])
-        last = float(rows[_COMMAND, k])
+        wanted, limit, last = rows[_WANTED, k], rows[_LIMIT, k], rows[_COMMAND, k]
         effort = min(max(wanted, -limit), limit)
         flags[0, k] = effort != wanted
         effort *= gain
@@ -530,12 +525,12 @@ def blend_efforts(
         if is_new and left == 1.0:
             effort = last  # without rounding errors
         elif left != 0.0:
-            bound = limit + left * float(rows[_EXCESS, k])
-            blended = effort + left * float(rows[_JUMP, k])
+            bound = limit + left * rows[_EXCESS, k]
+            blended = effort + left * rows[_JUMP, k]
             effort = min(max(blended, -bound), bound)
             flags[0, k] |= effort != blended
         if has_rates:
-            change = float(rows[_RATE, k]) * elapsed
+            change = rows[_RATE, k] * elapsed
             wanted = effort
             effort = min(max(wanted, last - change), last + change)
             flags[1, k] = effort != wanted

@@ -22,13 +22,15 @@ from ..control.loop import ControlLoop
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
-from ..ros.cdr import JointStateReader
+from ..ros.cdr import JointStateReader, stamp_of
 from ..ros.middleware import BEST_EFFORT, overridable, QUEUED, RELIABLE
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .status_text import describe_imu_frame
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
+_OLDEST = 1.0  # [s]; a state that seems older was stamped by another clock
+_RISE_OF_DELAY, _LONGEST_RISE = 0.2, 0.1  # [s/s], [s]
 _SMALL_CHANGE = 0.05  # smaller relative changes of gravity are not logged
 _MAX_REFERENCE = 1 << 16  # [bytes]; reading so many bytes delays commands by 2 ms
 
@@ -38,6 +40,7 @@ class Inputs:
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
+        self._uses_sim_time = node.get_parameter('use_sim_time').value
         self._configuration: Configuration | None = None  # that was used last
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
@@ -111,14 +114,26 @@ class Inputs:
             self._runner.reject('joint_states', error)
             return
         if loop.collector.time != self._last_state:
+            self._measure_delay(now, data, loop.collector)
             self._last_state = loop.collector.time
             self.state_count += 1
         if is_ours and self._runner.is_active and self._runner.configuration.update_rate == 0.0:
             self._runner.step(now)
 
+    def _measure_delay(self, now: float, data: bytes, collector: JointStateCollector) -> None:
+        """
+        Measure the delay of the joint states by their stamps.
+
+        The delay rises slowly, because states that have waited during a pause arrive together.
+
+        """
+        age = (now if self._uses_sim_time else time.time()) - 1e-9 * stamp_of(data)
+        longest = collector.delay + _RISE_OF_DELAY * min(now - self._last_state, _LONGEST_RISE)
+        collector.delay = min(age, longest) if 0.0 <= age <= _OLDEST else 0.0
+
     def _measured_efforts(self, layout: Layout, measured: Floats) -> Floats | tuple[()]:
         """Return the measured efforts, which may be NaN, or () if no output needs efforts."""
-        if not (self._runner.outputs.uses_measured_efforts and layout.has_joints):
+        if not (self._runner.outputs.uses_measured_efforts and layout.places.size):
             return ()
         count = len(layout.names)
         if len(measured) == count:

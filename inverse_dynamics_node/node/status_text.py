@@ -184,30 +184,21 @@ def describe_motion(now: float, loop: ControlLoop) -> str:
 
 
 def describe_unstable_gains(loop: ControlLoop) -> str:
-    """
-    Describe gains with which joints may oscillate, if there are any.
-
-    A delay T of the velocities makes damping unstable if it exceeds about I / T, and stiffness if
-    it exceeds about I / T^2. I is the inertia of the joint; for `computed_torque`, it is 1.
-
-    """
+    """Describe gains with which joints may oscillate, if there are any."""
     names = loop.law.gains
     if names is None:
         return ''
-    gains, inertia = loop.of_joint, np.ones(len(loop.index))
+    delay = max(_DELAY, loop.collector.delay)
+    is_unstable, inertia = loop.law.unstable_gains(loop.collector.q, delay)
     with_inertia, advice = '', ['lower these gains']
     if loop.law.holds:
-        inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
         with_inertia = 'its inertia ({:.2g}) and '
         advice = ['lower these gains, or set armature to the reflected inertia of the rotor']
-    damping, stiffness = inertia / _DELAY, inertia / _DELAY**2
-    is_unstable = (gains[names[0]] > damping) | (gains[names[1]] > stiffness)
     texts = [
-        f'{joint} may oscillate: with {with_inertia.format(inertia[k])}a delay of '
-        f'{1e3 * _DELAY:g} ms, {names[0]} should be at most {damping[k]:.2g} and {names[1]} '
-        f'at most {stiffness[k]:.2g}'
-        for k, joint in enumerate(loop.joints)
-        if is_unstable[k]
+        f'{loop.joints[k]} may oscillate: with {with_inertia.format(inertia[k])}a delay of '
+        f'{1e3 * delay:.0f} ms, {names[0]} should be at most {inertia[k] / delay:.2g} and '
+        f'{names[1]} at most {inertia[k] / delay**2:.2g}'
+        for k in np.flatnonzero(is_unstable)
     ]
     return '; '.join(texts + advice * bool(texts))
 

@@ -42,6 +42,17 @@ def test_wrong_velocities_stop_the_arm_until_it_is_enabled(run_node, robot):
     assert len(robot.commands) > count
 
 
+def test_a_driver_whose_states_arrive_late_stops_the_arm(run_node, robot):
+    robot.age = 0.3
+    robot.publish_state(JOINTS, np.zeros(len(JOINTS)), np.zeros(len(JOINTS)))
+    node = run_node(robot_description_file=str(ARM), mode='computed_torque')
+    zeros = np.zeros(len(JOINTS))
+    robot.publish_reference(JOINTS, zeros, positions=zeros, velocities=zeros)
+    robot.wait_for_text(
+        node, f'stopped: {JOINTS[0]} may oscillate with these gains, because joint'
+    )
+
+
 @contextmanager
 def simulated(domain_id):
     """Run a simulated robot that takes its commands from a relay."""

@@ -153,6 +153,16 @@ def test_a_simulation_that_falls_behind_for_a_moment_contradicts_nothing():
         assert not arm.limit_stop
 
 
+@pytest.mark.parametrize('delay', [0.04, 0.06])
+def test_gains_that_are_too_large_for_the_delay_of_the_states_stop_the_arm(delay):
+    arm = moving(mode=Mode.COMPUTED_TORQUE, kd=20.0)
+    arm.loop.collector.delay = delay
+    arm.move((0.1, 0.1), 0.1, behind=0.0)
+    is_stopped = 20.0 * delay > 1.0
+    assert bool(arm.limit_stop) is is_stopped
+    assert f'{NAMES[0]} may oscillate' in arm.limit_stop or not is_stopped
+
+
 def test_a_jump_of_the_position_is_a_stop_only_with_feedback():
     for mode in Mode:
         arm = moving(mode=mode)

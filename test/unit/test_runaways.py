@@ -25,8 +25,6 @@ EVERY = [
     if path
     for mode in MODES
     for fault in faults([j for j in load_urdf(path).joint_names if 'finger' not in j])
-    # Stiff springs with states that are 60 ms late: the speed is seen 5 to 30 ms too late.
-    if (mode, fault) != ('joint_impedance', 'late 60')
     if fault and (arm, mode, fault) not in SAMPLE
 ]
 
