@@ -19,6 +19,7 @@ kilted = [
     'xacro>=2',
 ]
 cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11.7']
+collisions = ['coal>=3']  # for `excite`
 demo = [*cli, 'mujoco>=3.17']  # earlier versions ignore mimic joints of a URDF
 test = [
     'catkin-pkg',
@@ -73,6 +74,7 @@ setup(
         'kilted': kilted,
         'demo': demo,
         'cli': cli,
+        'collisions': collisions,
         'test': test,
         'bench': bench,
         'doc': doc,

@@ -57,7 +57,6 @@ PICTURES = {
     'check': 'check config/stanford.urdf --picture check.png',
     'effort': 'effort config/stanford.urdf doc/stanford_pick.yaml --payload 2 --link tool0',
     'compare': 'compare config/stanford.urdf run',
-    'excite': 'excite my_arm.urdf',
     'identify': 'identify my_arm.urdf run_1.csv --validate run_2.csv --output calibrated.urdf'
     ' --parameters node.yaml --json report.json',
     'closed_loop': 'demo config/stanford.urdf --picture closed_loop.png',

@@ -53,7 +53,7 @@ def brief(monkeypatch):
     """Search for excitation motions for a short time; the promises do not depend on it."""
     from inverse_dynamics_node.analysis.excitation import search
 
-    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
+    monkeypatch.setattr(search, '_MOST_TRIALS', 60)
     monkeypatch.setattr(search, 'CANDIDATES', 4)
     monkeypatch.setattr(search, 'HARMONICS', 3)
 

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
 import math
 from pathlib import Path
 
 import numpy as np
 
+from ..analysis.excitation.collisions import Collisions
 from ..analysis.excitation.limits import (
-    keep_clear,
+    default_and_random_poses,
     motion_limits,
     MotionLimits,
-    whole_positions,
 )
 from ..analysis.excitation.search import DURATION, Excitation, find_excitation
 from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..errors import ConfigurationError
 from ..report.excitation_tables import excitation_tables
-from ..robot.capsules import body_capsules
 from ..robot.model import RobotModel
-from ..robot.urdf.shapes import read_shapes
 from . import arguments
 from .console import check_outputs, new_file, progress, say, show
-from .pictures.excite import draw
-from .pictures.style import try_to_draw
 
 EPILOG = """\
 examples:
@@ -36,10 +31,11 @@ examples:
   inverse_dynamics effort my_arm.urdf my_arm_excite.csv
 
 The links stay at least 2 cm away from each other, from the floor and from each --box, according to
-the collision shapes of the URDF. Links that are close to each other by design may come closer. A
-payload has no shape: enclose it in a collision shape of the URDF. To restrict the motion, narrow
-the limits in a copy of the URDF. The straight path in joint space to the start pose is checked
-too. It begins at the pose with all joints at 0, or at the limit nearest to 0.
+the collision shapes of the URDF. This needs the Python package coal (pip install coal). Without
+it, collisions are not checked. Links that are often close to each other may come closer. A payload
+has no shape: enclose it in a collision shape of the URDF. To restrict the motion, narrow the
+limits in a copy of the URDF. The straight path in joint space to the start pose is checked too. It
+begins at the default pose: each joint at 0, or in the middle of its range if 0 is out of range.
 
 The motion is written as a JointTrajectory without efforts, as a joint_trajectory_controller
 expects. Two more files contain a slow motion to the start pose (_start.yaml), and the motion five
@@ -62,9 +58,9 @@ def make_parser() -> argparse.ArgumentParser:
     parser = arguments.new_parser(
         'excite',
         'Within the limits of the robot, find the motion that is best for identifying masses and '
-        'friction. The command writes the motion as CSV and as a JointTrajectory, draws a '
-        'picture, and reports the space that the motion needs and the standard errors that the '
-        'identified parameters would have.',
+        'friction. The command writes the motion as CSV and as a JointTrajectory, and reports the '
+        'space that the motion needs and the standard errors that the identified parameters would '
+        'have.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -90,7 +86,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         nargs='+',
         default=[],
         metavar='JOINT',
-        help='joints to move (default: all except those that carry little mass, such as fingers)',
+        help='joints to move (default: all except wheels, fingers and a virtual base)',
     )
     parser.add_argument(
         '--floor',
@@ -120,7 +116,6 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         'the other files begin with the same stem',
         'YAML',
     )
-    arguments.add_picture(parser, '<name of the URDF>_excite.png')
     arguments.add_force(parser)
 
 
@@ -138,7 +133,6 @@ def run(options: argparse.Namespace) -> int:
             'start motion': start,
             'rehearsal': rehearsal,
             'table': csv,
-            '--picture': arguments.picture_or(options, f'{stem}.png'),
         },
         options.force,
     )
@@ -146,14 +140,13 @@ def run(options: argparse.Namespace) -> int:
     dynamics = arguments.load_dynamics(source, options.gravity)
     robot = dynamics.robot
     arguments.attach_payload(dynamics, options)
-    limits = _limits(robot, source, options)
+    limits = motion_limits(robot, options.joints)
+    collisions = _collisions(robot, source, limits, options)
     with progress('searching for the best motion') as report:
-        excitation = find_excitation(dynamics, limits, options.duration, report)
+        excitation = find_excitation(dynamics, limits, collisions, options.duration, report)
     trajectory = excitation.series.trajectory(_CSV_RATE)
     efforts = trajectory_efforts(dynamics, trajectory, limits.rest)
-    assert limits.clearance
-    box = limits.clearance.extent(whole_positions(limits, trajectory.positions))
-    show(*excitation_tables(robot, excitation, trajectory, efforts, box))
+    show(*excitation_tables(robot, excitation, trajectory, efforts, collisions))
     say('Before the motion runs at full speed, rehearse it, with a hand on the emergency stop.')
     print()
 
@@ -173,16 +166,14 @@ def run(options: argparse.Namespace) -> int:
         f'{start}: the motion to the start pose, which takes {to_start.times[0]:g} s',
         f'{rehearsal}: the motion as a JointTrajectory, five times slower',
     ]
-    drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, options.urdf.name)
-    if path := try_to_draw(drawing, options, f'{stem}.png'):
-        written.append(f'{path}: picture')
     print('\n'.join(f'written: {line}' for line in written))
     return 0
 
 
-def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
-    """Return the limits and the obstacles that the options give."""
-    limits = motion_limits(robot, options.joints)
+def _collisions(
+    robot: RobotModel, source: Path | str, limits: MotionLimits, options: argparse.Namespace
+) -> Collisions | None:
+    """Return what finds collisions with the obstacles of the options; None without coal."""
     boxes = []
     for values in options.box:
         centre, lengths = np.array(values).reshape(2, 3)
@@ -191,9 +182,16 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
                 f'--box is {values}, expected a centre and three lengths above 0'
             )
         boxes.append(np.array([centre - 0.5 * lengths, centre + 0.5 * lengths]))
+    poses = default_and_random_poses(limits)
     with progress('reading collision shapes'):
-        capsules = body_capsules(robot, *read_shapes(source))
-        return keep_clear(robot, limits, capsules, options.floor, boxes)
+        try:
+            return Collisions(robot, source, poses, options.floor, boxes)
+        except ImportError:
+            if boxes:
+                raise ConfigurationError(
+                    '--box needs the package coal: pip install coal'
+                ) from None
+            return None
 
 
 def _to_start(excitation: Excitation) -> Trajectory:

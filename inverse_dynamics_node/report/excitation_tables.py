@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from ..analysis.excitation.clearance import Extent, Nearest
+from ..analysis.excitation.collisions import CLEARANCE, Collisions
 from ..analysis.excitation.information import expected_errors, ExpectedErrors
-from ..analysis.excitation.search import CANDIDATES, Excitation, SAMPLES_PER_SECOND
+from ..analysis.excitation.limits import whole_positions
+from ..analysis.excitation.search import Excitation, SAMPLES_PER_SECOND
 from ..dynamics.trajectory import Trajectory
 from ..errors import listed
 from ..robot.model import Floats, RobotModel
@@ -20,20 +19,20 @@ def excitation_tables(
     excitation: Excitation,
     trajectory: Trajectory,
     efforts: Floats,
-    box: Extent,
+    collisions: Collisions | None,
 ) -> list[str]:
     """
     Return tables of an excitation motion and of the errors to expect in an identification.
 
     `trajectory` is the motion in the output file, which may be slower than `excitation`.
-    `efforts` contains the modelled efforts, shape (points, joints) [N m or N]. `box` encloses the
-    moving links during the whole motion.
+    `efforts` contains the modelled efforts, shape (points, joints) [N m or N]. `collisions` is
+    None if collisions were not checked.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [
-        _motion(robot, excitation, trajectory, efforts, box),
+        _motion(robot, excitation, trajectory, efforts, collisions),
         _joints(robot, excitation, errors),
-        _bodies(errors),
+        _bodies(robot, errors),
     ]
 
 
@@ -42,7 +41,7 @@ def _motion(
     excitation: Excitation,
     trajectory: Trajectory,
     efforts: Floats,
-    box: Extent,
+    collisions: Collisions | None,
 ) -> str:
     index = robot.joint_indices(trajectory.joint_names)
     assert trajectory.velocities is not None
@@ -64,85 +63,70 @@ def _motion(
                 fraction(peak, robot.effort_limits[i]),
             )
         )
-    sides = ', '.join(
-        f'{axis} {low:.2f} to {high:.2f}' for axis, low, high in zip('xyz', *box, strict=True)
-    )
     notes = [
         f'{excitation.series.harmonics} harmonics of {1.0 / trajectory.times[-1]:.3g} Hz; the '
         'motion starts and ends at rest, in the pose of the column "start"',
-        f'space that the links need: {sides} m in the frame of the base; a payload is not '
-        'included',
-        *_distances(excitation),
         *excitation.limits.notes,
+        *_clearances(collisions, whole_positions(excitation.limits, trajectory.positions)),
     ]
     title = f'Excitation motion of {robot.name}: {trajectory.times[-1]:g} s'
     columns = ('joint', 'start', 'moves', 'limits', 'speed', 'limit', 'effort', 'of limit')
     return table(title, columns, rows, notes)
 
 
-def _distances(excitation: Excitation) -> list[str]:
-    """Describe the smallest distances from links to each other, to the floor and to boxes."""
-    kinds: dict[str, list[Nearest]] = {'floor': [], 'box': [], 'links': []}
-    for each in excitation.nearest:
-        kinds[each.names[1] if each.names[1] in kinds else 'links'].append(each)
-    clearance = excitation.limits.clearance
-    said = [
-        f'{found[0].distance:.3f} m ({found[0].names[0]} and {found[0].names[1]})'
-        for found in kinds.values()
-        if found
-    ]
-    if clearance is None:
-        return ['collisions are not checked']
+def _clearances(collisions: Collisions | None, q: Floats) -> list[str]:
+    """Return notes about collisions, and about the space that the links need."""
+    if collisions is None:
+        return ['collisions were NOT checked: the package coal is missing (pip install coal)']
     notes = [
-        'smallest distances, including the motion to the start pose: '
-        + (', '.join(said) or 'more than 0.3 m')
+        f'the links keep {1e3 * CLEARANCE:g} mm from each other, from the floor and from boxes, '
+        'also on the straight path to the start pose',
     ]
-    if clearance.unchecked:
-        pairs = listed(clearance.unchecked)
-        notes.append(f'not checked, because these links are close in many poses: {pairs}')
+    notes += [
+        f'{words}: {listed(names)}'
+        for words, names in (
+            ('not checked, because they have no readable shape', collisions.shapeless),
+            ('not checked, because they touch in many poses', collisions.unchecked),
+            ('only kept from touching, because they are near in many poses', collisions.near),
+        )
+        if names
+    ]
+    box = collisions.extent(q)
+    if box is not None:
+        sides = [
+            f'{axis} {low:.2f} to {high:.2f}' for axis, low, high in zip('xyz', *box, strict=True)
+        ]
+        notes.append(
+            f'space that the links need: {", ".join(sides)} m in the frame of the base; a payload '
+            'is not included'
+        )
     return notes
 
 
 def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -> str:
+    noise, names = excitation.unknowns.noise, excitation.series.joint_names
     rows = []
-    for k, name in enumerate(errors.joint_names):
+    for k, i in enumerate(excitation.limits.index):
         armature, damping, coulomb, offset = (or_dash(x, '.2g') for x in errors.of_joints[k])
-        unit = effort_unit(robot, robot.joint_names.index(name))
-        rows.append(
-            (
-                name,
-                f'{errors.noise[k]:.3g} {unit}',
-                or_dash(errors.efforts[k], '.2g'),
-                damping,
-                coulomb,
-                offset,
-                armature,
-            )
-        )
+        noise_of_joint = f'{noise[k]:.3g} {effort_unit(robot, i)}'
+        rows.append((names[k], noise_of_joint, damping, coulomb, offset, armature))
     duration = excitation.series.duration
-    count = SAMPLES_PER_SECOND * duration
-    gain = math.exp((excitation.log_det - excitation.random_log_det) / (2.0 * errors.count))
     return table(
         'Expected standard errors of one run, by joint',
-        ('joint', 'noise', 'efforts', 'damping', 'Coulomb', 'offset', 'armature'),
+        ('joint', 'noise', 'damping', 'Coulomb', 'offset', 'armature'),
         rows,
         (
-            f'assumes {count:g} independent samples in {duration:g} s, and no errors except the '
-            'noise in the column "noise"; four runs halve all errors',
-            'efforts: errors of the efforts that the identified model predicts in random states '
-            'within the limits',
-            f'{errors.count} unknowns; log det of their information matrix: '
-            f'{excitation.log_det + errors.count * math.log(count):.4g}',
-            f'with the best of {CANDIDATES} random motions within the same limits, errors are '
-            f'{gain:.2f} times as large (geometric mean)',
+            f'assumes {SAMPLES_PER_SECOND * duration:g} independent samples in {duration:g} s, '
+            'and no errors except those of the column "noise"; four runs halve all errors',
+            f'{len(excitation.unknowns.columns)} unknowns',
         ),
     )
 
 
-def _bodies(errors: ExpectedErrors) -> str:
+def _bodies(robot: RobotModel, errors: ExpectedErrors) -> str:
     rows = [
         (name, *(or_dash(x, '.2g') for x in values))
-        for name, values in zip(errors.body_names, errors.of_bodies, strict=True)
+        for name, values in zip(robot.body_names[1:], errors.of_bodies, strict=True)
         if not np.isnan(values).all()
     ]
     return table(

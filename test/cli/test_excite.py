@@ -1,5 +1,7 @@
 """The command `excite`, and the files that it writes."""
 
+import sys
+
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.robot.urdf import load_urdf
@@ -8,15 +10,20 @@ from numpy.testing import assert_allclose
 import pytest
 from robot_files import NOTHING_MOVES, STANFORD
 
+pytest.importorskip('coal')
 yaml = pytest.importorskip('yaml')
 
+SHAPED = STANFORD.read_text().replace(
+    '</inertial>',
+    '</inertial><collision><geometry><sphere radius="0.01"/></geometry></collision>',
+)
 ROBOT = load_urdf(STANFORD)
 NAMES = ROBOT.joint_names
 pytestmark = pytest.mark.usefixtures('brief')
 
 
 def excite(*arguments):
-    return main(['excite', str(STANFORD), '--no-picture', *arguments])
+    return main(['excite', str(STANFORD), *arguments])
 
 
 def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, capsys):
@@ -38,11 +45,9 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
     assert 'effort' not in (here / 'stanford_excite.yaml').read_text()
     for words in (
         'Expected standard errors of one run',
-        'space that the links need',
+        'the links keep 20 mm from each other, from the floor and from boxes',
+        'not checked, because they have no readable shape: ',
         'noise',
-        'smallest distances, including the motion to the start pose: ',
-        'a radius of 0.',
-        'random motions within the same limits',
     ):
         assert words in printed
     # The files are those that `effort` reads.
@@ -59,14 +64,6 @@ def test_the_rehearsal_is_the_same_path_five_times_slower(here):
     assert_allclose(slow.accelerations[::5], 0.04 * fast.accelerations, atol=1e-8)
 
 
-@pytest.mark.long
-def test_the_picture_shows_the_path(here, size_of):
-    assert main(['excite', str(STANFORD), '--picture', 'path.png', '--duration', '5']) == 0
-    width, height = size_of(here / 'path.png')
-    assert width == 900
-    assert height > 500
-
-
 def test_options_restrict_the_motion(here):
     assert (
         excite('--joints', NAMES[1], NAMES[3], '--floor', 'none', '--trajectory-out', 'b.yaml')
@@ -78,24 +75,25 @@ def test_options_restrict_the_motion(here):
     assert sorted(path.name for path in here.iterdir()) == names
 
 
-def test_the_floor_is_at_the_base_unless_there_is_none(here, capsys):
+def test_the_output_says_so_if_collisions_cannot_be_checked(here, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'coal', None)  # as if it were not installed
     assert excite() == 0
-    assert ' and floor)' in capsys.readouterr().out
-    assert excite('--floor', 'none', '--force') == 0
-    assert ' and floor)' not in capsys.readouterr().out
+    assert 'collisions were NOT checked: the package coal is missing' in capsys.readouterr().out
+    assert excite('--box', '1', '0', '0', '1', '1', '1', '--force') == 1
+    assert '--box needs the package coal: pip install coal' in capsys.readouterr().err
 
 
 def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
-    assert excite('--box', '0', '0', '0', '3', '3', '3') == 1
-    assert 'widen the ranges, or lower the floor (--floor)' in capsys.readouterr().err
-    assert not list(here.iterdir())
+    (here / 'arm.urdf').write_text(SHAPED)
+    assert main(['excite', 'arm.urdf', '--box', '0', '0', '0', '3', '3', '3']) == 1
+    assert 'these collide: ' in capsys.readouterr().err
+    assert [path.name for path in here.iterdir()] == ['arm.urdf']
 
 
 @pytest.mark.parametrize(
     ('arguments', 'code', 'words'),
     [
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
-        (['--floor', '5'], 1, 'or switch it off (--floor none)'),
         (['--floor', 'deep'], 2, "'deep' is not a height or 'none'"),
         (['--box', '0', '0', '0', '1', '1', '0'], 1, 'three lengths above 0'),
     ],

@@ -15,23 +15,33 @@ of the unknowns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.model import Floats, Integers
+from ...robot.kinematics import path_to
+from ...robot.model import Floats, Integers, RobotModel
 from ..columns import base_parameters, NAMES
 from .limits import MotionLimits, random_states, States, whole_states
 
 OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
 WIDTH = 0.02
 """Width w of smoothed Coulomb friction, as a fraction of the largest speed of the joint."""
-_SAMPLES = 400
+_STATES = 400
 """Number of random states that are used to find the base parameters."""
-_STATES = 500
-"""Number of random states at which the errors of predicted efforts are computed."""
+_VISIBLE = 100.0
+"""
+Largest standard error of an unknown at the random states, relative to the whole robot.
+
+Columns that differ only by the rounding of the description give larger errors. The error of a mass
+is relative to the moving mass, that of a first moment to mass x reach, and that of a moment of
+inertia to mass x reach^2.
+"""
+_PRODUCTS = 20
+"""Number of matrix products for one information matrix."""
+_TINY = 1e-9
+"""Value that is added to the diagonal of the information matrix to keep it invertible."""
 _GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
 """Indices of mass, first moments and moments of inertia among the parameters of a body."""
 
@@ -50,81 +60,62 @@ class Unknowns:
 
     def __init__(self, dynamics: InverseDynamics, limits: MotionLimits, noise: Floats) -> None:
         self.dynamics, self.limits, self.noise = dynamics, limits, noise
-        self.width: Floats = WIDTH * limits.speeds
-        self.rigid_count = len(NAMES) * (len(dynamics.robot.parent) - 1)
+        robot = dynamics.robot
+        self.rigid_count = len(NAMES) * (len(robot.parent) - 1)
         self.columns: Integers = np.arange(self.rigid_count + len(OF_JOINT) * len(noise))
         self.scale: Floats = np.ones(len(self.columns))
-        states = random_states(limits, _SAMPLES, np.random.default_rng(1))
+        states = random_states(limits, _STATES, np.random.default_rng(1))
         matrix = self.weighted(states).reshape(-1, len(self.columns))
         sizes = np.sqrt(np.mean(matrix**2, axis=0))
         nonzero = np.flatnonzero(sizes > 1e-12 * np.max(sizes))
         leading = base_parameters(matrix[:, nonzero] / sizes[nonzero]).leading
-        self.columns = np.sort(nonzero[leading])
-        self.scale = sizes[self.columns]
+        columns = np.sort(nonzero[leading])
+        largest = np.full(len(sizes), np.inf)
+        largest[: self.rigid_count] = np.tile(_VISIBLE * _units(robot), len(robot.parent) - 1)
+        while True:
+            triangle = np.linalg.qr(matrix[:, columns] / sizes[columns], mode='r')
+            errors = np.linalg.norm(np.linalg.inv(triangle), axis=1) / sizes[columns]
+            ratios = errors / largest[columns]
+            if ratios.max() < 1.0:
+                break
+            columns = np.delete(columns, ratios.argmax())
+        self.columns, self.scale = columns, sizes[columns]
 
     def weighted(self, states: States) -> Floats:
         """Return the result of `of_efforts`, divided by noise and scale."""
         return self.of_efforts(states) / (self.noise[:, np.newaxis] * self.scale)
 
+    def information(self, states: States) -> Floats:
+        """Return the information matrix per state; the number of states is divisible by 20."""
+        u = len(self.columns)
+        # Small products are slow, and large ones start threads, which cost more than they save.
+        columns = self.weighted(states).reshape(_PRODUCTS, -1, u)
+        products = columns.transpose(0, 2, 1) @ columns
+        return np.asarray(np.sum(products, axis=0) / len(states.q) + _TINY * np.eye(u))
+
     def of_efforts(self, states: States) -> Floats:
         """Return the effort per unit of each unknown, shape (states, moving joints, unknowns)."""
         Y = self.dynamics.regressor(*whole_states(self.limits, states))
-        drive_terms = self._drive_terms(states)
-        rigid, own, kind, joint = self._split()
+        step = np.tanh(states.qd / (WIDTH * self.limits.speeds))
+        drive_terms = np.stack([states.qdd, states.qd, step, np.ones_like(step)])
+        rigid = self.columns[self.columns < self.rigid_count]
+        kind, joint = np.divmod(self.columns[len(rigid) :] - self.rigid_count, len(self.noise))
         columns: Floats = np.zeros((*states.q.shape, len(self.columns)))
-        columns[:, :, rigid] = Y[:, self.limits.index][:, :, self.columns[rigid]]
-        columns[:, joint, own] = drive_terms[kind, :, joint].T
+        columns[:, :, : len(rigid)] = Y[:, self.limits.index][:, :, rigid]
+        columns[:, joint, len(rigid) + np.arange(len(joint))] = drive_terms[kind, :, joint].T
         return columns
 
-    def weighted_sum(self, weights: Floats) -> Callable[[States], Floats]:
-        """
-        Return a function that computes the sum of `weights * weighted(states)` for each state.
 
-        `weights` has the shape (samples, moving joints, unknowns). The function accepts r states
-        per sample, in arrays of shape (r * samples, moving joints). Columns that are not
-        selected get a weight of zero, because removing these columns would take longer.
-
-        """
-        k, m, _ = weights.shape
-        scaled = weights / (self.noise[:, np.newaxis] * self.scale)
-        rigid, own, kind, joint = self._split()
-        of_bodies = np.zeros((k, len(self.limits.rest), self.rigid_count))
-        rows = np.array(self.limits.index)[:, np.newaxis]
-        of_bodies[:, rows, self.columns[rigid]] = scaled[:, :, rigid]
-        flat = of_bodies.reshape(k, -1)
-        of_joints = np.zeros((len(OF_JOINT), k, m))
-        of_joints[kind, :, joint] = scaled[:, joint, own].T
-
-        def total(states: States) -> Floats:
-            Y = self.dynamics.regressor(*whole_states(self.limits, states)).reshape(
-                -1, *flat.shape
-            )
-            kinds = self._drive_terms(states).reshape(len(OF_JOINT), -1, k, m)
-            sums: Floats = np.einsum('rka,ka->rk', Y, flat)
-            sums += np.einsum('irkj,ikj->rk', kinds, of_joints)
-            return sums.ravel()
-
-        return total
-
-    def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """
-        Return the indices of body unknowns and of joint unknowns.
-
-        Also returns the term and the joint of each joint unknown.
-
-        """
-        is_rigid = self.columns < self.rigid_count
-        kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
-        return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
-
-    def _drive_terms(self, states: States) -> Floats:
-        """Return efforts per unit of each term in `OF_JOINT`, shape (4, states, moving joints)."""
-        step = np.tanh(states.qd / self.width)
-        return np.stack([states.qdd, states.qd, step, np.ones_like(step)])
+def _units(robot: RobotModel) -> Floats:
+    """Return the moving mass, mass x reach, or mass x reach^2, for each inertial parameter."""
+    lengths = np.linalg.norm(robot.p_PL, axis=1)
+    reach = max(sum(lengths[path_to(robot, body)]) for body in range(len(lengths)))
+    reach = max(reach, float(np.linalg.norm(robot.com, axis=1).max()))
+    orders = np.repeat([0, 1, 2], [1, 3, 6])
+    return np.asarray(robot.mass[1:].sum() * reach**orders)
 
 
-@dataclass(frozen=True, eq=False)
-class ExpectedErrors:
+class ExpectedErrors(NamedTuple):
     """
     Standard errors of the unknowns due to the assumed noise.
 
@@ -133,45 +124,23 @@ class ExpectedErrors:
 
     """
 
-    joint_names: tuple[str, ...]
-    """Names of the moving joints."""
-    noise: Floats
-    """Assumed standard deviation of measured efforts, shape (moving joints,) [N m or N]."""
     of_joints: Floats
     """Errors of the terms in `OF_JOINT`, shape (moving joints, 4)."""
-    efforts: Floats
-    """RMS errors of predicted efforts at random states, shape (moving joints,) [N m or N]."""
-    body_names: tuple[str, ...]
-    """Names of all bodies except the base."""
     of_bodies: Floats
     """
     Error of mass [kg], and largest errors of first moments [kg m] and inertia [kg m^2].
 
-    The shape is (bodies, 3).
+    The shape is (bodies except the base, 3).
     """
-    count: int
-    """Number of unknowns."""
 
 
 def expected_errors(unknowns: Unknowns, information: Floats) -> ExpectedErrors:
     """Compute standard errors from an information matrix, shape (unknowns, unknowns)."""
-    limits, covariance = unknowns.limits, np.linalg.inv(information)
-    errors = np.sqrt(np.diagonal(covariance)) / unknowns.scale
-    m, robot = len(limits.joint_names), unknowns.dynamics.robot
-    everything = np.full(unknowns.rigid_count + len(OF_JOINT) * m, np.nan)
-    everything[unknowns.columns] = errors
-    of_bodies = everything[: unknowns.rigid_count].reshape(-1, len(NAMES))
-    groups = [np.where(np.isnan(of_bodies), -1.0, of_bodies)[:, group] for group in _GROUPS]
-    largest = np.stack([np.max(group, axis=1) for group in groups], axis=1)
-    states = random_states(limits, _STATES, np.random.default_rng(2))
-    columns = unknowns.of_efforts(states) / unknowns.scale
-    variances = np.einsum('kju,uv,kjv->kj', columns, covariance, columns, optimize=True)
+    errors = np.full(unknowns.rigid_count + len(OF_JOINT) * len(unknowns.noise), np.nan)
+    covariance = np.linalg.inv(information)
+    errors[unknowns.columns] = np.sqrt(np.diagonal(covariance)) / unknowns.scale
+    of_bodies = errors[: unknowns.rigid_count].reshape(-1, len(NAMES))
     return ExpectedErrors(
-        limits.joint_names,
-        unknowns.noise,
-        everything[unknowns.rigid_count :].reshape(len(OF_JOINT), m).T,
-        np.sqrt(np.mean(variances, axis=0)),
-        robot.body_names[1:],
-        np.where(largest < 0.0, np.nan, largest),
-        len(errors),
+        errors[unknowns.rigid_count :].reshape(len(OF_JOINT), -1).T,
+        np.stack([np.fmax.reduce(of_bodies[:, group], axis=1) for group in _GROUPS], axis=1),
     )

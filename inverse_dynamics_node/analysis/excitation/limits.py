@@ -2,25 +2,22 @@
 Collects the limits of a motion, and draws random states within the limits.
 
 Missing position and speed limits are replaced by assumed values. A missing effort limit remains
-infinite. The module `clearance` defines the distances that links must keep from each other
-and from obstacles.
+infinite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
-from ...robot.capsules import Capsules
+from ...robot.kinematics import path_to
 from ...robot.model import Floats, RobotModel
 from ..sizing import joint_ranges
-from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
 """Fraction of the limits that a motion uses. The controller may need the rest."""
@@ -30,10 +27,12 @@ ASSUMED_SLIDE = 1.0
 """Assumed length of the range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
 """A joint is considered immovable if its range is smaller than this value [rad or m]."""
-_POSES = 400
-"""Number of random poses that are used to find links that may come near each other."""
+_POSES = 300
+"""Number of random poses that show which links are often close to each other."""
 _LIGHT = (0.05, 0.05)
 """A light joint carries less than both this mass [kg] and this fraction of the moving mass."""
+_MOST_JOINTS_OF_WHEEL = 2
+"""Largest number of joints from the base to a wheel; the first one may steer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +53,6 @@ class MotionLimits:
     """Largest permitted speeds, shape (moving joints,) [rad/s or m/s]."""
     efforts: Floats
     """Largest permitted effort of each joint, shape (joints,) [N m or N]; inf without a limit."""
-    clearance: Clearance | None = None
-    """Minimum distances between links, and from links to obstacles; None if not checked."""
     notes: tuple[str, ...] = ()
     """Notes for the user about assumptions."""
 
@@ -74,21 +71,22 @@ def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits
     """
     Collect the limits of a motion.
 
-    `joints` are the joints to move. The default is all joints that can move, except joints that
-    carry almost no mass. The motion may use the `FRACTION` of the position ranges, speeds and
-    efforts. Before the motion, each joint is at 0, or at the limit nearest to 0 if 0 is out of
+    `joints` are the joints to move. The default is all joints that can move, except those that
+    `_not_of_arm` finds. The motion may use the `FRACTION` of the position ranges, speeds and
+    efforts. Before the motion, each joint is at 0, or in the middle of its range if 0 is out of
     range. Raises ConfigurationError if a joint does not exist or cannot move.
 
     """
     notes: list[str] = []
     lower, upper, speeds = _ranges(robot, notes)
-    positions = np.clip(0.0, *joint_ranges(robot))
+    low, high = joint_ranges(robot)
+    positions = np.where((low <= 0.0) & (high >= 0.0), 0.0, 0.5 * (lower + upper))
     still = {  # joints that cannot move, with the reason
         name: f'its range is only {low:g} to {high:g}'
         for name, low, high in zip(robot.joint_names, lower, upper, strict=True)
         if high - low < _LEAST_RANGE
     }
-    names = _chosen(robot, joints, still, _light(robot), notes)
+    names = _chosen(robot, joints, still, notes)
     index = robot.joint_indices(names)
     return MotionLimits(
         tuple(names),
@@ -130,44 +128,80 @@ def _ranges(robot: RobotModel, notes: list[str]) -> tuple[Floats, Floats, Floats
     return middle - half, middle + half, FRACTION * speeds
 
 
-def _light(robot: RobotModel) -> dict[str, str]:
-    """Return the names of light joints, such as finger joints, each with an explanation."""
+def _not_of_arm(robot: RobotModel) -> dict[str, str]:
+    """Map light joints, wheels and the joints of a virtual base to the reasons to leave them."""
     carried = robot.mass.copy()
     for body in range(len(carried) - 1, 0, -1):
         carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
     of_joints = np.bincount(robot.joint_index[1:], carried[1:], len(robot.joint_names))
     least = min(_LIGHT[0], _LIGHT[1] * float(robot.mass[1:].sum()))
-    return {
-        robot.joint_names[i]: f'it carries only {of_joints[i]:.2g} kg'
-        for i in np.flatnonzero(of_joints < least)
+    light = np.flatnonzero(of_joints < least)
+    found = {robot.joint_names[i]: f'it carries only {of_joints[i]:.2g} kg' for i in light}
+    base = _virtual_base(robot)
+    for bodies, reason in (
+        (base, 'it carries the whole robot'),
+        (_wheels(robot, base), 'a wheel'),
+    ):
+        found |= {robot.joint_names[robot.joint_index[body]]: reason for body in bodies}
+    return found
+
+
+def _wheels(robot: RobotModel, base: Sequence[int]) -> list[int]:
+    """
+    Return the bodies of wheels and of the joints that steer them; `base` moves the whole robot.
+
+    A wheel turns without limits at the end of a branch that is shorter than the longest one.
+    """
+    paths = [path_to(robot, body)[len(base) :] for body in range(len(robot.parent))]
+    ends = [paths[body] for body in range(1, len(paths)) if not (robot.parent == body).any()]
+    most = min(_MOST_JOINTS_OF_WHEEL, max(map(len, paths)) - 1)
+    others = {
+        end[0]
+        for end in ends
+        if len(end) > most or not robot.is_continuous[robot.joint_index[end[-1]]]
     }
+    return [path[-1] for path in paths if path and path[0] not in others]
+
+
+def _virtual_base(robot: RobotModel) -> list[int]:
+    """
+    Return the bodies of the joints with which a description lets the whole robot drive or fly.
+
+    These joints begin at a base without mass. They move bodies without mass, except the last one,
+    and at least one of them is prismatic.
+    """
+    chain = [0]
+    while robot.mass[chain[-1]] == 0.0:
+        children = np.flatnonzero(robot.parent == chain[-1])
+        if len(children) != 1:
+            return []
+        chain.append(int(children[0]))
+    is_virtual = len(chain) > 2 and robot.is_prismatic[chain].any()
+    return chain[1:] if is_virtual else []
 
 
 def _chosen(
-    robot: RobotModel,
-    joints: Sequence[str],
-    still: dict[str, str],
-    light: dict[str, str],
-    notes: list[str],
+    robot: RobotModel, joints: Sequence[str], still: dict[str, str], notes: list[str]
 ) -> list[str]:
     """Return the joints to move, in the order of the robot."""
     robot.joint_indices(joints)
     for name in joints:
         if name in still:
             raise ConfigurationError(f"joint '{name}' cannot move: {still[name]}")
-    if not joints:
-        still = light | still
-    wanted = joints or robot.joint_names
-    names = [name for name in robot.joint_names if name in wanted and name not in still]
+    others = {} if joints else _not_of_arm(robot)
+    reasons = others | still
+    names = [
+        name
+        for name in robot.joint_names
+        if name not in reasons and (not joints or name in joints)
+    ]
+    left_out = [f'{name} ({reasons[name]})' for name in robot.joint_names if name in reasons]
+    hint = '; to move one of them, name all joints that shall move in --joints'
+    hint *= bool(others.keys() - still.keys())
     if not names:
-        reasons = '; '.join(f"'{name}': {reason}" for name, reason in still.items())
-        raise ConfigurationError(
-            f"robot '{robot.name}' has no joint to move{f' ({reasons})' * bool(reasons)}"
-        )
-    left_out = [f'{name} ({still[name]})' for name in robot.joint_names if name in still]
+        why = f': {listed(left_out)}{hint}' if left_out else ''
+        raise ConfigurationError(f"robot '{robot.name}' has no joint to move{why}")
     if left_out and not joints:
-        has_light = any(name in light and still[name] == light[name] for name in still)
-        hint = '; to move a light joint, name it in --joints' if has_light else ''
         notes.append(f'joints that do not move: {listed(left_out)}{hint}')
     return names
 
@@ -215,41 +249,7 @@ def random_states(limits: MotionLimits, count: int, rng: np.random.Generator) ->
     return States(q, qd, qdd)
 
 
-def keep_clear(
-    robot: RobotModel,
-    limits: MotionLimits,
-    capsules: Capsules,
-    floor: float = -math.inf,
-    boxes: Sequence[Floats] = (),
-) -> MotionLimits:
-    """
-    Copy `limits`, and add minimum distances between links, and from links to floor and boxes.
-
-    `capsules` enclose the bodies of the robot. `find_clearance` describes the other arguments.
-
-    """
-    poses = random_states(limits, _POSES, np.random.default_rng(3)).q
-    poses = whole_positions(limits, poses)
-    clearance = find_clearance(robot, capsules, poses, floor, boxes)
-    return replace(limits, clearance=clearance, notes=(*limits.notes, *capsules.notes))
-
-
-def excess(
-    dynamics: InverseDynamics, limits: MotionLimits, states: States, aim: float = 1.0
-) -> Floats:
-    """
-    Return how far states exceed each limit, relative to the limit.
-
-    With an `aim` of 0.9, the excess starts at 90 % of each limit. The result has one row per state
-    and one column per finite limit.
-
-    """
-    parts = [
-        np.abs(states.q - limits.middle) / limits.half,
-        np.abs(states.qd) / limits.speeds,
-    ]
-    bounded = np.isfinite(limits.efforts)
-    if bounded.any():
-        efforts = dynamics.efforts(*whole_states(limits, states))
-        parts.append(np.abs(efforts[:, bounded]) / limits.efforts[bounded])
-    return np.asarray(np.maximum(np.concatenate(parts, axis=1) - aim, 0.0))
+def default_and_random_poses(limits: MotionLimits) -> Floats:
+    """Return the default pose, and random poses within the limits, shape (poses, joints)."""
+    states = random_states(limits, _POSES, np.random.default_rng(3))
+    return np.vstack([limits.rest, whole_positions(limits, states.q)])

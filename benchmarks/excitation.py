@@ -1,0 +1,107 @@
+"""
+Plan motions for the arms of example-robot-data, and check them with Pinocchio.
+
+    python -m benchmarks.excitation [ROBOT ...]
+
+Pinocchio loads the collision meshes, and finds collisions at 2001 poses of the written motion. It
+leaves out links that a joint connects, and the pairs that `excite` does not check. The errors are
+compared with the best of 1000 random motions within the same limits.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import time
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.excitation import search
+from inverse_dynamics_node.analysis.excitation.collisions import Collisions
+from inverse_dynamics_node.analysis.excitation.limits import (
+    default_and_random_poses,
+    motion_limits,
+    whole_positions,
+)
+import numpy as np
+from robot_files import real_robots
+
+ARMS = (
+    'ur3_robot', 'ur5_robot', 'ur10_robot', 'panda', 'kinova', 'xarm7', 'z1', 'so100', 'so101',
+    'talos_left_arm',
+)  # fmt: skip
+RANDOM = 1000
+CHECKED = 2001
+
+
+def collisions_of_pinocchio(path: Path, q: np.ndarray, joints: tuple, unchecked: list) -> int:
+    """Return the number of poses in which links touch, except in the unchecked pairs."""
+    import pinocchio as pin
+
+    model = pin.buildModelFromUrdf(str(path))
+    folders = [str(folder) for folder in path.parents]
+    kind = pin.GeometryType.COLLISION
+    shapes = pin.buildGeomFromUrdf(model, str(path), kind, package_dirs=folders)
+    shapes.addAllCollisionPairs()
+    for pair in list(shapes.collisionPairs):
+        objects = [shapes.geometryObjects[k] for k in (pair.first, pair.second)]
+        links = [model.frames[each.parentFrame].name for each in objects]
+        first, second = (each.parentJoint for each in objects)
+        are_joined = first == second or first == model.parents[second]
+        names = {' and '.join(links), ' and '.join(links[::-1])}
+        if are_joined or second == model.parents[first] or names & set(unchecked):
+            shapes.removeCollisionPair(pair)
+    data, geometry = model.createData(), shapes.createData()
+    poses = np.tile(pin.neutral(model), (len(q), 1))
+    for k, name in enumerate(joints):
+        joint = model.joints[model.getJointId(name)]
+        if joint.nq == 2:  # the cosine and the sine of an endless joint
+            poses[:, joint.idx_q : joint.idx_q + 2] = np.stack(
+                [np.cos(q[:, k]), np.sin(q[:, k])], 1
+            )
+        elif joint.nq == 1:
+            poses[:, joint.idx_q] = q[:, k]
+    return sum(pin.computeCollisions(model, data, shapes, geometry, pose, True) for pose in poses)
+
+
+def row(path: Path) -> str:
+    """Plan a motion, check it, and return a row of the table."""
+    began = time.process_time()
+    robot = load_urdf(path)
+    dynamics = InverseDynamics(robot)
+    limits = motion_limits(robot)
+    collisions = Collisions(robot, path, default_and_random_poses(limits), 0.0)
+    found = search.find_excitation(dynamics, limits, collisions)
+    seconds = time.process_time() - began
+    q, _, _ = found.series.sample(np.linspace(0.0, found.series.duration, CHECKED))
+    whole = whole_positions(limits, q)
+    hits = collisions_of_pinocchio(path, whole, robot.joint_names, collisions.unchecked)
+    motions = search.MotionSpace(dynamics, limits, collisions, found.series.duration)
+    best = max(
+        np.linalg.slogdet(found.unknowns.information(motions.states(x)))[1]
+        for x in motions.random(RANDOM, np.random.default_rng(7))
+    )
+    count = len(found.unknowns.columns)
+    samples = search.SAMPLES_PER_SECOND * found.series.duration
+    ours = np.linalg.slogdet(found.information / samples)[1]
+    ratio = np.exp((best - ours) / (2.0 * count))
+    pairs = ', '.join(collisions.unchecked) or '-'
+    return (
+        f'| {path.stem} | {len(limits.index)} | {hits} of {CHECKED} | {ratio:.2f} | {seconds:.1f} '
+        f'| {pairs} |'
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('robots', nargs='*', default=ARMS)
+    names = parser.parse_args().robots
+    paths = {path.stem: path for path in real_robots()}
+    print('| robot | joints | poses with a collision | errors | CPU [s] | not checked |')
+    print('|---|---|---|---|---|---|')
+    for name in names:
+        print(row(paths[name]), flush=True)
+
+
+if __name__ == '__main__':
+    main()
