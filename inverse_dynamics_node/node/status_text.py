@@ -53,6 +53,37 @@ def similar_names(collector: JointStateCollector) -> list[str]:
     return list(dict.fromkeys(close))
 
 
+def _explain_names(collector: JointStateCollector) -> str:
+    """Say which names arrived in place of those of the missing joints, or return ''."""
+    missing, names = collector.missing(), collector.foreign_names
+    similar = similar_names(collector)
+    for name in names:
+        where, part = _difference(missing[0], name)
+        if part and all(_without(part, joint, where) in names for joint in missing):
+            return f" (received {listed(names, 4)}: without the {where} '{part}' of the URDF)"
+        where, part = _difference(name, missing[0])
+        if part and {_without(part, each, where) for each in names} >= set(missing):
+            return f" (received {listed(names, 4)}: with the {where} '{part}', unlike the URDF)"
+    if similar:
+        return f' (received similar names: {", ".join(map(repr, similar))})'
+    return f' (received other names: {listed(names, 4)})' if names else ''
+
+
+def _difference(longer: str, shorter: str) -> tuple[str, str]:
+    """Return the prefix or suffix by which one name is longer than the other, or ''."""
+    if longer.endswith(shorter):
+        return 'prefix', longer.removesuffix(shorter)
+    return 'suffix', longer.removeprefix(shorter) if longer.startswith(shorter) else ''
+
+
+def _without(part: str, name: str, where: str) -> str:
+    """Return the name without a prefix or suffix, or '' if it has none."""
+    has_part = name.startswith(part) if where == 'prefix' else name.endswith(part)
+    if not has_part:
+        return ''
+    return name.removeprefix(part) if where == 'prefix' else name.removesuffix(part)
+
+
 def missing_inputs(
     loop: ControlLoop, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
 ) -> list[str]:
@@ -64,9 +95,11 @@ def missing_inputs(
     """
     joints = loop.collector.missing()
     word = 'position' if len(joints) == 1 else 'positions'
-    similar = ', '.join(map(repr, similar_names(loop.collector)))
-    hint = f' (received similar names: {similar})' if similar else ''
-    missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
+    missing = []
+    if joints:
+        missing.append(
+            f'the {word} of {", ".join(joints)} on {states}{_explain_names(loop.collector)}'
+        )
     if now is not None and not missing:
         joints = loop.collector.stale(now, loop.settings.state_timeout)
         if joints:

@@ -168,6 +168,26 @@ def test_the_first_command_needs_a_slow_joint_once():
     assert report(loop, of=[SLOW]).step(0.0) is not None
 
 
+@pytest.mark.parametrize(
+    ('reported', 'hint'),
+    [
+        (
+            lambda name: name.removeprefix('joint_'),
+            "without the prefix 'joint_' of the URDF",
+        ),
+        (lambda name: f'lbr_{name}', "with the prefix 'lbr_', unlike the URDF"),
+        (lambda name: f'{name}_arm', "with the suffix '_arm', unlike the URDF"),
+        (lambda name: 'wheel' + name[-1], 'received other names: gripper, wheel1, wheel2'),
+    ],
+)
+def test_names_that_arrive_in_place_of_the_missing_ones_are_shown(reported, hint):
+    loop = ControlLoop(MODEL)
+    names = [reported(name) for name in NAMES]
+    store_state(loop.collector, 0.0, ['gripper', *names], np.zeros(7), np.zeros(7))
+    (missing,) = missing_inputs(loop)
+    assert hint in missing
+
+
 def test_missing_misnamed_and_old_joint_states_are_listed():
     loop = ControlLoop(MODEL)
     similar = NAMES[0].replace('joint_', 'joint')
