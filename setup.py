@@ -58,6 +58,8 @@ setup(
         (f'share/{package_name}/config/sros2', glob('config/sros2/*')),
         (f'share/{package_name}/examples', glob('examples/*.py')),
         (f'share/{package_name}/launch', glob('launch/*')),
+        # `ros2 run` looks here; the console scripts are in bin, which colcon adds to the path.
+        (f'lib/{package_name}', glob('scripts/*')),
     ],
     python_requires='>=3.10',
     # ROS is not listed: a sourced ROS must not be shadowed, and the library does not need it.
