@@ -63,29 +63,17 @@ class Node:
         self.include_friction = False
         mode = pick.choice(list(Mode))
         self.settings = Settings(mode=mode, stop_damping=pick.choice([0.0, 50.0, 50.0]))
-        self.imu = imu
-        self.loop = self.make_loop()
+        self.imu, period = imu, 1.0 / rate if rate else 0.0
+        self.loop = ControlLoop(ROBOT, settings=self.settings, period=period, has_imu=imu)
         self.loop.start()
         self.has_restarted = False
         self.has_wrong_sign = pick.random() < 0.1  # of the velocities
-
-    def make_loop(self):
-        period = 1.0 / self.rate if self.rate else 0.0
-        return ControlLoop(
-            ROBOT,
-            settings=self.settings,
-            period=period,
-            has_imu=self.imu,
-        )
 
     def apply(self):
         self.loop.loads.include(gravity=self.include_gravity)
         damping, coulomb, load = self.include_friction * np.array([1.2, 0.6, 0.05])
         self.loop.dynamics.set_friction(damping, coulomb, load_friction=load)
         self.loop.apply(self.settings)
-
-    def set_payload(self, now, mass):
-        self.loop.loads.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
 
     def set_wrench(self, now, force):
         self.loop.loads.set_external_wrench(now, TIP, force, np.zeros(3))
@@ -328,7 +316,7 @@ class Sequence:
 
     def set_payload(self):
         mass = self.pick.choice([0.0, 2.0, 5.0])
-        self.node.set_payload(self.now, mass)
+        self.node.loop.loads.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
 
     def toggle_wrench(self):
         self.wrench = None if self.wrench is not None else np.array([0.0, 20.0, 30.0])

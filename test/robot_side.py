@@ -6,6 +6,7 @@ import itertools
 import time
 
 from builtin_interfaces.msg import Time
+from inverse_dynamics_node import InverseDynamics, load_urdf
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from node_process import PATIENCE, RUNNING
@@ -17,6 +18,7 @@ from rclpy.duration import Duration
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from robot_files import STANFORD
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -26,6 +28,18 @@ ANSWER_TIME = 10.0  # [s]; a request without an answer for this long is sent aga
 REPETITION = 3.0  # [s]; between messages that may be lost
 RATE = 100  # [Hz]; of joint states and everything else that is published without pause
 CHECK_PERIOD = 0.1  # [s]; of the nodes, for errors
+MODEL = load_urdf(STANFORD)
+DYNAMICS = InverseDynamics(MODEL)
+NAMES = list(MODEL.joint_names)
+Q, ZERO = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2]), np.zeros(6)
+# So slow that positions that do not change do not contradict it within a second.
+QD = 0.05 * np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.4])
+QDD = np.array([0.5, 0.4, -0.3, 0.2, 0.1, -0.6])
+HOLD = DYNAMICS.gravity_efforts(Q)
+FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.2}
+# With a time-out that a busy machine does not reach between two messages.
+PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def check_nodes(what):
@@ -193,8 +207,7 @@ class RobotSide:
         self._always = [(self._reference, message)]
 
     def publish_description(self, text):
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._description = self.node.create_publisher(String, 'robot_description', latched)
+        self._description = self.node.create_publisher(String, 'robot_description', LATCHED)
         self._description.publish(String(data=text))
 
     def publish_again(self, description):

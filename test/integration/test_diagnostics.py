@@ -7,16 +7,11 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Inertia, InertiaStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
-import numpy as np
 import pytest
 from robot_files import STANFORD
-from rosgraph_msgs.msg import Clock
+from robot_side import FAST, HOLD, NAMES, PATIENT, Q, ZERO
 from std_msgs.msg import Float64MultiArray, Header
 
-NAMES = list(load_urdf(STANFORD).joint_names)
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.1}
-PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -56,9 +51,8 @@ def test_a_description_that_arrives_later_is_used_at_the_next_configuration(
     node = run_node(start_ramp=0.0, stop_ramp=0.2, state_timeout=5.0)
     text = STANFORD.read_text()
     robot.publish_description(text)
-    robot.publish_state(NAMES, Q, np.zeros(6))
-    hold = InverseDynamics(load_urdf(text)).gravity_efforts(Q)
-    robot.wait_for_command(hold)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
     links = ''.join(
         f'<link name="x{k}"/><joint name="y{k}" type="fixed"><parent link="base_link"/>'
         f'<child link="x{k}"/></joint>'
@@ -66,11 +60,7 @@ def test_a_description_that_arrives_later_is_used_at_the_next_configuration(
     )
     robot.publish_again(text.replace('</robot>', f'{links}</robot>'))
     wait_for_status('model', WARN, 'another robot description has arrived')
-    robot.publish_again(text)
-    wait_for_status('model', OK, "robot 'stanford'")
-    robot.publish_again(text.replace('</robot>', f'{links}</robot>'))
-    wait_for_status('model', WARN, 'another robot description has arrived')
-    robot.wait_for_command(hold)
+    robot.wait_for_command(HOLD)
     assert robot.change_state('deactivate')
     assert robot.change_state('cleanup')
     assert not robot.change_state('configure')
@@ -80,8 +70,7 @@ def test_a_description_that_arrives_later_is_used_at_the_next_configuration(
     robot.wait_until(lambda: robot.change_state('configure'), 'configuration')
     assert robot.change_state('activate')
     robot.wait_for_command(InverseDynamics(load_urdf(heavier)).gravity_efforts(Q))
-    commands = 'set /inverse_dynamics $x; done'
-    assert node.output.count(commands) == 2
+    assert 'set /inverse_dynamics $x; done' in node.output
 
 
 def test_the_status_follows_the_inputs_and_the_lifecycle(run_node, robot, wait_for_status):
@@ -92,59 +81,42 @@ def test_the_status_follows_the_inputs_and_the_lifecycle(run_node, robot, wait_f
     robot.wait_for_text(node, 'no command yet')
     # A second after the node was configured. How long the discovery takes is up to the middleware.
     assert 'publisher' in lines(node, 'no command yet')[0]
-    robot.wait_for_text(node, '(1 publisher)')
     assert wait_for_status('joint states', ERROR, waiting, 'publishers', '1')['age [s]'] == 'never'
-    robot.publish_state(['joint1', *NAMES[1:]], Q, np.zeros(6))
-    similar = "(received similar names: 'joint1')"
-    wait_for_status('joint states', ERROR, similar)
-    robot.wait_for_text(node, similar)
-    robot.publish_state(NAMES, [Q[0], 57.3, *Q[2:]], np.zeros(6))
+    robot.publish_state(['joint1', *NAMES[1:]], Q, ZERO)
+    robot.wait_for_text(node, "(received similar names: 'joint1')")
+    robot.publish_state(NAMES, [Q[0], 57.3, *Q[2:]], ZERO)
     text = f'{NAMES[1]} is at 57.3 rad, outside its limits -1.745 to 1.745 (in degrees?)'
     wait_for_status('joint states', WARN, text)
-    robot.wait_for_text(node, text)
-    robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('joint states', OK, 'fresh')
+    robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_text(node, f'solved: {text}')
-    wait_for_status('loop', OK, 'floating: no reference')
     assert robot.change_state('deactivate')
     wait_for_status('loop', OK, 'inactive')
-    wait_for_status('joint states', OK, 'fresh')
-    assert robot.change_state('cleanup')
-    wait_for_status('loop', OK, 'unconfigured')
 
 
 def test_values_are_those_of_the_running_node(run_node, robot, wait_for_status):
     run_node(**PATIENT, update_rate=100, effort_limits=1.0)
-    robot.publish_state(NAMES, Q, np.zeros(6))
-    robot.publish_accelerations(np.zeros(6))
-    for _ in range(2):  # the first report may cover a part of a second only
-        values = wait_for_status('loop', OK, 'following the reference', 'mode', 'inverse_dynamics')
-    assert (values['state'], values['requested rate [Hz]']) == ('active', '100')
-    assert float(values['compute time p99 [ms]']) > 0.0
-    assert float(values['period worst [ms]']) >= float(values['period p99 [ms]']) > 0.0
-    assert float(values['rate [Hz]']) > 0.0
-    assert values['overruns'].isdigit()
-    assert 0.0 <= float(wait_for_status('joint states', OK, 'fresh')['age [s]']) < 5.0
-    assert 0.0 <= float(wait_for_status('reference', OK, 'followed')['age [s]']) < 5.0
-    key = f'{NAMES[1]} cut to limit'
-    first = int(wait_for_status('efforts', WARN, NAMES[1], 'receivers', '1')[key])
-    assert int(wait_for_status('efforts', WARN, NAMES[1])[key]) > first > 0
+    robot.publish_state(NAMES, Q, ZERO)
     robot.publish_accelerations([math.nan] * 6)
+    load = InertiaStamped(header=Header(frame_id='tool0'), inertia=Inertia(m=1.25))
+    robot.publish_once('inverse_dynamics/payload', load)
     key = f"~/desired_accelerations: acceleration of joint '{NAMES[0]}' is nan"
     key += ', expected a number of at most 1e+09'
     first = int(wait_for_status('messages', WARN, 'since the last report', key)[key])
     assert int(wait_for_status('messages', WARN, 'since the last report', key)[key]) > first > 0
-    values = wait_for_status('model', OK, 'stanford', 'payload', 'none')
-    assert values['gravity [m/s^2]'] == '0, 0, -9.80665'
-    load = InertiaStamped(header=Header(frame_id='tool0'), inertia=Inertia(m=1.25))
-    robot.publish_once('inverse_dynamics/payload', load)
+    values = wait_for_status('loop', OK, 'floating: no reference', 'mode', 'inverse_dynamics')
+    assert (values['state'], values['requested rate [Hz]']) == ('active', '100')
+    for name in ('compute time p99 [ms]', 'period worst [ms]', 'period p99 [ms]', 'rate [Hz]'):
+        assert float(values[name]) > 0.0
+    assert 0.0 <= float(wait_for_status('joint states', OK, 'fresh')['age [s]']) < 5.0
+    values = wait_for_status('efforts', WARN, NAMES[1], 'receivers', '1')
+    assert int(values[f'{NAMES[1]} cut to limit']) > 0
     wait_for_status('model', OK, 'stanford', 'payload', '1.25 kg on tool0')
 
 
 def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_for_status):
     began, topic = time.monotonic(), '/inverse_dynamics/commands'
     node = run_node(**PATIENT)
-    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.publish_state(NAMES, Q, ZERO)
     wait_for_status('other nodes', OK, '')
     rival = run_node('-r', '__node:=left_behind', '-r', f'~/commands:={topic}', **PATIENT)
     words = f'{topic} is also published by /left_behind'
@@ -164,7 +136,7 @@ def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_
 
 def test_a_node_with_the_same_name_is_reported(run_node, robot):
     nodes = [run_node(**PATIENT), run_node(**PATIENT)]
-    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.publish_state(NAMES, Q, ZERO)
     words = 'another node has the name /inverse_dynamics'
     for node in nodes:
         robot.wait_for_text(node, words)
@@ -203,45 +175,38 @@ def test_joints_topic_and_subscribers_are_reported_on_activation(run_node, robot
 
 
 def test_a_loss_of_joint_states_and_its_end_are_reported(run_node, robot, wait_for_status):
-    node = run_node(**{**FAST, 'state_timeout': 2.0, 'stop_ramp': 1.0})
-    robot.publish_state(NAMES, Q, np.zeros(6))
-    robot.publish_accelerations(np.zeros(6))
+    node = run_node(**{**FAST, 'state_timeout': 1.0, 'stop_ramp': 1.0})
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.publish_accelerations(ZERO)
     robot.wait_for_text(node, 'following the reference')
     robot._always = []
     robot.wait_for_text(node, 'floating: no reference for more than 0.5 s')
     robot.state = None  # the publisher stays connected
-    reason = f'no joint state of {", ".join(NAMES)} for more than 2 s'
+    reason = f'no joint state of {", ".join(NAMES)} for more than 1 s'
     robot.wait_for_text(node, f'ramping efforts down: {reason}')
     robot.wait_for_text(node, f'stopped, zeros sent: {reason}')
     wait_for_status('joint states', ERROR, 'although 1 publisher is connected')
     robot.wait_for_text(
         node, '(a killed publisher stays connected for up to 20 s); if ros2 topic hz'
     )
-    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.publish_state(NAMES, Q, ZERO)
     count = len(lines(node, 'floating'))
     robot.wait_until(lambda: len(lines(node, 'floating')) > count, 'floating again')
     robot.wait_for_text(node, 'solved: joint states ')
 
 
-def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_status):
+def test_simulated_time_that_stands_still_is_reported(run_node, robot, wait_for_status):
     node = run_node(**PATIENT, use_sim_time=True)
-    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.publish_state(NAMES, Q, ZERO)
     words = 'use_sim_time is set, but nothing publishes /clock'
     robot.wait_for_text(node, words)
     assert '[WARN]' in lines(node, words)[0]
-    wait_for_status('clock', ERROR, words)
-    robot.wait_until(
-        lambda: any('[ERROR]' in line for line in lines(node, words)[1:]), 'the error'
-    )
-    ticks = robot.keep_publishing('/clock', Clock())
-    robot.cease(ticks)
     robot.keep_ticking(100.0)
     robot.wait_for_text(node, f'solved: {words}')
     wait_for_status('clock', OK, '')
     robot._always = []  # the publisher remains, as that of a simulation that is paused
     wait_for_status('clock', WARN, 'is the simulation paused?')
     robot.wait_for_text(node, 'simulated time has not advanced for more than 5 s')
-    # Lasting problems are repeated by steady time, since simulated time has stopped.
+    # What happens is logged by steady time, since simulated time has stopped.
     robot.publish_accelerations([1.0])
-    words = '1 acceleration values, expected 6'
-    robot.wait_until(lambda: len(lines(node, words)) > 1, 'another warning')
+    robot.wait_for_text(node, '1 acceleration values, expected 6')

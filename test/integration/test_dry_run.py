@@ -3,18 +3,13 @@
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
-from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 from robot_files import STANFORD
+from robot_side import HOLD, NAMES, Q, ZERO
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-MODEL = load_urdf(STANFORD)
-NAMES = list(MODEL.joint_names)
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-ZERO = np.zeros(6)
-HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
 RAMPED = {
     'robot_description_file': STANFORD,
     'start_ramp': 1.0,

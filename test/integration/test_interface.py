@@ -16,29 +16,14 @@ from geometry_msgs.msg import (
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
-from robot_files import ROOT, STANFORD
-from robot_side import recording_at_rest
+from robot_files import ROOT
+from robot_side import MODEL, NAMES, PATIENT, Q, QD, QDD, recording_at_rest, ZERO
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-MODEL = load_urdf(STANFORD)
-NAMES = list(MODEL.joint_names)
 TIP = MODEL.link_names[-1]
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-# So slow that positions that do not change do not contradict it within a second.
-QD = 0.05 * np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.4])
-QDD = np.array([0.5, 0.4, -0.3, 0.2, 0.1, -0.6])
-ZERO = np.zeros(6)
-PATIENT = {
-    'robot_description_file': STANFORD,
-    'start_ramp': 0.0,
-    'stop_ramp': 0.2,
-    # Longer than a busy machine needs between two messages.
-    'state_timeout': 5.0,
-    'reference_timeout': 5.0,
-}
 OWN = 'inverse_dynamics'
 
 
@@ -158,7 +143,7 @@ def test_gravity_follows_the_topic(run_node, robot, dynamics):
     assert any('[WARN]' in line and words in line for line in node.output.splitlines())
 
 
-def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics):
+def test_the_imu_replaces_gravity_in_every_orientation_until_it_is_lost(run_node, robot, dynamics):
     node = run_node(
         **PATIENT,
         base_motion='imu',
@@ -168,26 +153,28 @@ def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics
     robot.wait_for_text(node, 'waiting for the motion of the base on /imu')  # and nothing else
     assert not robot.commands
     # The sensor's x is the base's y.
-    robot.keep_publishing('imu', imu((4.0, -1.0, 9.0), (0.3, -0.1, 0.2)))
+    measuring = robot.keep_publishing('imu', imu((4.0, -1.0, 9.0), (0.3, -0.1, 0.2)))
     dynamics.set_gravity((-1.0, -4.0, -9.0))
     dynamics.set_base_motion((0.1, 0.3, 0.2))
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO), tolerance=1e-6)
     assert 'frame_id' not in node.output
-    robot._always[-1][1].header.frame_id = 'base_link'
+    measuring[1].header.frame_id = 'base_link'
     words = 'in the robot description differs from imu_orientation by 90 degrees'
     robot.wait_for_text(node, words)
-
-
-def test_a_lost_imu_leaves_gravity_as_it_was(run_node, robot, dynamics):
-    run_node(**PATIENT, base_motion='imu')
-    robot.publish_state(NAMES, Q, QD)
-    measuring = robot.keep_publishing('imu', imu((0.0, 3.0, 9.0), (0.3, 0.0, 0.0)))
-    dynamics.set_gravity((0.0, -3.0, -9.0))
-    dynamics.set_base_motion((0.3, 0.0, 0.0))
-    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
     robot.cease(measuring)
     dynamics.set_base_motion((0.0, 0.0, 0.0))
-    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO), tolerance=1e-6)
+    robot.wait_for_text(node, 'the motion of the base is unknown: no message on imu for more')
+    unmeasured = 'the covariance says that angular velocity is not measured'
+    gravity = stamped(Vector3Stamped, '', vector=Vector3(z=-9.8))
+    cases = [
+        ('/imu', imu((math.nan, 0.0, 0.0)), 'specific force is'),
+        ('gravity', gravity, 'the IMU measures gravity'),
+        ('/imu', UNMEASURED, unmeasured),
+    ]
+    drop_with_reason(robot, node, cases)
+    robot.keep_publishing('imu', imu((4.0, -1.0, 9.0)))
+    robot.wait_for_text(node, 'solved: the motion of the base is unknown')
 
 
 def drop_with_reason(robot, node, cases):
@@ -238,53 +225,33 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
 
 
-def test_invalid_motions_of_the_base_are_dropped_with_a_reason(run_node, robot):
-    node = run_node(**PATIENT, base_motion='imu')
-    robot.publish_state(NAMES, Q, QD)
-    unmeasured = 'the covariance says that angular velocity is not measured'
-    gravity = stamped(Vector3Stamped, '', vector=Vector3(z=-9.8))
-    cases = [
-        ('/imu', imu((math.nan, 0.0, 0.0)), 'specific force is'),
-        ('gravity', gravity, 'the IMU measures gravity'),
-        ('/imu', UNMEASURED, unmeasured),
-    ]
-    drop_with_reason(robot, node, cases)
-
-
 # Optional topics
 
 
-def test_springs_and_coupled_drives_are_live_parameters(run_node, robot, dynamics):
-    coupling = [0.0, 0.0, 0.0, 0.0, 0.0, 0.8]
-    run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2, drive_coupling=coupling)
-    robot.publish_state(NAMES, Q, QD)
-    robot.publish_accelerations(QDD)
-    dynamics.set_friction(0.5, 0.2)
-    dynamics.set_drive_coupling(coupling)
-    robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
-    for name, value in (('spring_stiffness', 19.0), ('spring_rest', 0.1)):
-        assert robot.set_parameter(name, value).successful
-    dynamics.set_springs(19.0, 0.1)
-    robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
-    refused = robot.set_parameter('drive_coupling', 1.0)
-    assert not refused.successful
-    assert "coupling of joint 'joint_1' is 1.0, expected 0" in refused.reason
-
-
-def test_external_efforts_are_measured_minus_model(run_node, robot, dynamics):
+def test_external_efforts_are_published_while_efforts_are_measured(run_node, robot, dynamics):
     run_node(**PATIENT)
-    heard = robot.listen(JointState, f'{OWN}/external_efforts')
+    # They would overflow, but they are not computed without a subscriber.
+    robot.publish_state(NAMES, Q, QD, np.full(6, 1e308))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
     push = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
     measured = dynamics.efforts(Q, ZERO, ZERO) + push
     measured[4] = math.nan
     robot.publish_state([*NAMES, 'wheel'], [*Q, 0.0], np.zeros(7), [*measured, 5.0])
-
-    def is_settled(message):
-        expected = np.delete(push, 4)
-        return list(message.effort) == pytest.approx(list(expected), abs=1e-6)
-
-    message = robot.wait_for(heard, is_settled, 'external efforts')
+    robot.wait_for_command(dynamics.efforts(Q, ZERO, ZERO))
+    heard = robot.listen(JointState, f'{OWN}/external_efforts')
+    expected = pytest.approx(list(np.delete(push, 4)), abs=1e-6)
+    message = robot.wait_for(heard, lambda m: list(m.effort) == expected, 'external efforts')
     assert list(message.name) == NAMES[:4] + NAMES[5:]
+    robot.publish_state(NAMES, Q, ZERO)
+    last = [len(robot.commands)]
+
+    def is_silent():
+        if heard:  # sent before
+            heard.clear()
+            last[0] = len(robot.commands)
+        return len(robot.commands) > last[0] + 40
+
+    robot.wait_until(is_silent, '40 commands in a row without external efforts')
 
 
 def test_external_efforts_of_a_driver_that_adds_gravity_and_measures_it(run_node, robot, dynamics):
@@ -309,47 +276,13 @@ def test_external_efforts_of_a_driver_that_adds_gravity_and_measures_it(run_node
     assert not robot.set_parameter('measured_effort_scale', [1.0, 1.0]).successful
 
 
-def test_external_efforts_are_published_only_while_efforts_are_measured(run_node, robot, dynamics):
-    run_node(**PATIENT)
-    heard = robot.listen(JointState, f'{OWN}/external_efforts')
-    robot.publish_state(NAMES, Q, ZERO, dynamics.efforts(Q, ZERO, ZERO))
-    robot.wait_for(heard, lambda m: list(m.name) == NAMES, 'external efforts')
-    robot.publish_state(NAMES, Q, ZERO, [*dynamics.efforts(Q, ZERO, ZERO)[:2], *[math.nan] * 4])
-    robot.wait_for(heard, lambda m: list(m.name) == NAMES[:2], 'those that are measured')
-    robot.publish_state(NAMES, Q, ZERO)
-    heard.clear()
-    last = [len(robot.commands)]
-
-    def is_silent():
-        if heard:  # sent before
-            heard.clear()
-            last[0] = len(robot.commands)
-        return len(robot.commands) > last[0] + 40
-
-    robot.wait_until(is_silent, '40 commands in a row without external efforts')
-
-
-def test_topics_without_subscribers_are_not_computed(run_node, robot, dynamics):
-    # External efforts would overflow, but they are not computed without a subscriber.
-    run_node(**PATIENT)
-    robot.publish_state(NAMES, Q, QD, np.full(6, 1e308))
-    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
-
-
-@pytest.mark.parametrize('start', ['active', 'inactive'])
-def test_trajectory_is_filled_with_efforts(run_node, robot, dynamics, start):
-    node = run_node(**PATIENT, autostart=start == 'active')
-    if start == 'inactive':
-        robot.wait_until(lambda: robot.change_state('configure'), 'configured')
-    else:
-        robot.wait_for_text(node, 'no command yet')
+def test_trajectories_are_filled_with_efforts_also_while_inactive(run_node, robot, dynamics):
+    node = run_node(**PATIENT, autostart=False)
+    robot.wait_until(lambda: robot.change_state('configure'), 'configured')
     heard = robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
-    robot.wait_until(
-        lambda: robot.node.count_publishers(f'{OWN}/joint_trajectory_out'), 'trajectories'
-    )
     states = [(Q, QD, QDD), (Q + 0.1, -QD, QDD), (Q - 0.1, QD, -QDD)]
     sent = trajectory([(k, *state) for k, state in enumerate(states)])
-    robot.keep_publishing(f'{OWN}/joint_trajectory_in', sent)
+    sending = robot.keep_publishing(f'{OWN}/joint_trajectory_in', sent)
     message = robot.wait_for(heard, lambda _: True, 'trajectory')
     assert message.header.frame_id == 'plan'
     assert list(message.joint_names) == NAMES[::-1]
@@ -358,35 +291,23 @@ def test_trajectory_is_filled_with_efforts(run_node, robot, dynamics, start):
         assert point.positions == given.positions
         assert point.time_from_start == given.time_from_start
     assert 'derived' not in node.output
-
-
-def test_a_trajectory_that_would_block_the_loop_is_dropped_while_active(run_node, robot):
-    node = run_node(**PATIENT)
-    robot.publish_state(NAMES, Q, QD)
-    robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
-    robot.wait_until(lambda: robot.commands, 'command')
-    # Again if the node had not discovered the subscriber yet.
+    robot.cease(sending)
+    sent = trajectory([(k, Q + 0.1 * k) for k in range(4)])
+    robot.keep_publishing(f'{OWN}/joint_trajectory_in', sent)
+    message = robot.wait_for(heard, lambda m: len(m.points) == 4, 'trajectory')
+    robot.wait_for_text(node, 'accelerations derived from a cubic spline')
+    for point in message.points:
+        state = [list(x)[::-1] for x in (point.positions, point.velocities, point.accelerations)]
+        assert list(point.effort)[::-1] == pytest.approx(list(dynamics.efforts(*state)))
+    assert np.abs(message.points[1].velocities).max() > 0.05
+    assert robot.change_state('activate')
     words = 'bytes, expected at most 1000000 while the node is active'
     long = trajectory([(k, Q) for k in range(15000)])
     topic = f'{OWN}/joint_trajectory_in'
     robot.publish_until(lambda: words in node.output, words, topic, long)
 
 
-def test_missing_derivatives_of_a_trajectory_are_derived_and_logged(run_node, robot, dynamics):
-    node = run_node(**PATIENT)
-    robot.wait_for_text(node, 'no command yet')
-    heard = robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
-    sent = trajectory([(k, Q + 0.1 * k) for k in range(4)])
-    robot.keep_publishing(f'{OWN}/joint_trajectory_in', sent)
-    message = robot.wait_for(heard, lambda _: True, 'trajectory')
-    robot.wait_for_text(node, 'accelerations derived from a cubic spline')
-    for point in message.points:
-        state = [list(x)[::-1] for x in (point.positions, point.velocities, point.accelerations)]
-        assert list(point.effort)[::-1] == pytest.approx(list(dynamics.efforts(*state)))
-    assert np.abs(message.points[1].velocities).max() > 0.05
-
-
-# Subsets
+# Joints and links that are not commanded
 
 
 def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot, dynamics):
@@ -402,21 +323,6 @@ def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot
     elsewhere[2] = 0.6
     robot.publish_state([*joints, NAMES[2]], elsewhere[seen], still[seen])
     robot.wait_for_command(dynamics.efforts(elsewhere, still, ZERO)[[0, 1, 3, 4]])
-
-
-@pytest.mark.parametrize(
-    ('locked', 'words'),
-    [
-        ({'locked_positions.nope': 0.2}, "locked_positions lists 'nope'"),
-        ({'locked_positions.jiont_6': 0.2}, f"did you mean '{NAMES[5]}'?"),
-        ({f'locked_positions.{NAMES[5]}': 'x'}, f"'locked_positions.{NAMES[5]}' is 'x'"),
-        ({f'locked_positions.{NAMES[5]}': 0.1}, f"'{NAMES[5]}' is both commanded and locked"),
-    ],
-)
-def test_invalid_locked_positions_end_the_start(run_node, locked, words):
-    node = run_node(**PATIENT, **locked)
-    assert node.wait() == 1
-    assert words in node.output
 
 
 def test_base_link_is_the_frame_of_gravity(run_node, robot, tmp_path):
@@ -461,11 +367,14 @@ def test_enable_ramps_down_and_up(run_node, robot, dynamics):
     assert node.process.poll() is None
 
 
-def test_enable_needs_an_active_node(run_node, robot):
-    run_node(**PATIENT, autostart=False)
+def test_services_need_an_active_node_or_a_model(run_node, robot):
+    run_node(autostart=False)
     answer = robot.call(SetBool, 'enable', SetBool.Request(data=True))
     assert not answer.success
     assert 'not active' in answer.message
+    answer = robot.call(Trigger, 'check_model', Trigger.Request())
+    assert not answer.success
+    assert answer.message == 'the node is not configured'
 
 
 def test_check_model_reports_the_robot_and_its_holding_efforts(run_node, robot, dynamics):
@@ -485,13 +394,6 @@ def test_check_model_reports_the_robot_and_its_holding_efforts(run_node, robot, 
     assert f'{effort:.2f}' in row
     assert 'Order of the commands' in text
     assert max(map(len, text.splitlines())) <= 100
-
-
-def test_check_model_needs_a_model(run_node, robot):
-    run_node()
-    answer = robot.call(Trigger, 'check_model', Trigger.Request())
-    assert not answer.success
-    assert answer.message == 'the node is not configured'
 
 
 def test_services_are_those_of_the_documentation(run_node, robot):

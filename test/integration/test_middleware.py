@@ -7,18 +7,13 @@ import subprocess
 import sys
 
 from fork_server import SERVER
-from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.ros import middleware
 from inverse_dynamics_node.ros.middleware import LOCAL_PROFILE, udp_settings
 from node_process import shared_memory_of
 import numpy as np
 import pytest
-from robot_files import STANFORD
+from robot_side import HOLD, NAMES, PATIENT, Q
 
-NAMES = list(load_urdf(STANFORD).joint_names)
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-HOLD = InverseDynamics(load_urdf(STANFORD)).gravity_efforts(Q)
-PATIENT = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'state_timeout': 5.0}
 UDP = {'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}
 PROFILE = {
     'FASTRTPS_DEFAULT_PROFILES_FILE': LOCAL_PROFILE,

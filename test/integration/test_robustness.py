@@ -11,12 +11,10 @@ import sys
 from diagnostic_msgs.msg import DiagnosticArray
 from fork_server import MAIN, SERVER
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
-from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.runner import Watchdog
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from node_process import PATIENCE
-import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import (
@@ -28,18 +26,11 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.experimental.events_executor import EventsExecutor
-from robot_files import ROOT, STANFORD
-from robot_side import RATE
+from robot_files import ROOT
+from robot_side import FAST, HOLD, NAMES, PATIENT, Q, RATE, ZERO
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
-MODEL = load_urdf(STANFORD)
-NAMES = list(MODEL.joint_names)
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-ZERO = np.zeros(6)
-HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
-FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.2}
-PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
 LOSING = {**FAST, 'state_timeout': 1.0}  # longer than the usual pauses of a busy machine
 
 

@@ -8,10 +8,11 @@ from inverse_dynamics_node import load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT
+from robot_side import LATCHED, ZERO
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
-from test_soft_stop import LATCHED, PATIENCE, run_moving_arm, ZERO
+from test_soft_stop import PATIENCE, run_moving_arm
 
 ARM = ROOT / 'test/robots/seven_dof.urdf'
 JOINTS = load_urdf(ARM).joint_names

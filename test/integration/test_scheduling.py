@@ -10,23 +10,10 @@ import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from inverse_dynamics_node import InverseDynamics, load_urdf
 from node_process import heed_signals
-import numpy as np
 import pytest
-from robot_files import STANFORD
+from robot_side import HOLD, NAMES, PATIENT, Q, ZERO
 
-MODEL = load_urdf(STANFORD)
-NAMES = list(MODEL.joint_names)
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-ZERO = np.zeros(6)
-HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
-PATIENT = {
-    'robot_description_file': STANFORD,
-    'start_ramp': 0.0,
-    'stop_ramp': 0.2,
-    'state_timeout': 5.0,
-}
 CAP_SYS_NICE = 23
 PR_CAPBSET_DROP = 24
 

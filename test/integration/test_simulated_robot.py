@@ -18,13 +18,12 @@ from inverse_dynamics_node.simulation.robot import COMPLAINT_PERIOD, RobotNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from robot_side import LATCHED
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, Header
 
 pytestmark = pytest.mark.real_time
 GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 COMMANDS = ['--ros-args', '-r', 'commands:=inverse_dynamics/commands']
 PERIOD = 0.02  # [s]
 RATE = 200  # [Hz]

@@ -6,26 +6,16 @@ import pickle
 import signal
 
 from builtin_interfaces.msg import Duration
-from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Settings
 from inverse_dynamics_node.node.trajectory_filler import fill
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from robot_files import STANFORD
+from robot_side import HOLD, MODEL, NAMES, PATIENT, Q
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-MODEL = load_urdf(STANFORD)
-NAMES = list(MODEL.joint_names)
-Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
-HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
-PATIENT = {
-    'robot_description_file': STANFORD,
-    'start_ramp': 0.0,
-    'stop_ramp': 0.2,
-    'state_timeout': 5.0,
-}
 OUT = 'inverse_dynamics/joint_trajectory_out'
 
 

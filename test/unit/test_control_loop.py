@@ -31,15 +31,6 @@ def hold(robot=MODEL, gravity=(0.0, 0.0, -9.80665), q=Q):
     return InverseDynamics(robot, gravity).gravity_efforts(q)
 
 
-def test_a_payload_affects_the_next_command():
-    loop = report(ControlLoop(MODEL, settings=AT_ONCE, period=0.5))
-    loop.step(0.0)
-    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
-    expected = InverseDynamics(MODEL)
-    expected.set_payload(TIP, 2.0)
-    assert report(loop, 0.5).step(0.5).efforts == pytest.approx(expected.gravity_efforts(Q))
-
-
 def test_without_the_motion_of_the_base_there_is_no_command():
     loop = report(ControlLoop(MODEL, settings=AT_ONCE, has_imu=True))
     assert loop.step(0.0) is None
@@ -211,27 +202,12 @@ def test_positions_of_joints_that_were_never_reported_are_not_judged():
     assert NAMES[bounded] in describe_implausible(loop)
 
 
-def step_with_two_publishers(loop, start, seconds, joint, offset):
-    """Step with states by two publishers in turn, of which the second differs in one joint."""
-    efforts = []
-    for k, now in enumerate(start + np.arange(0.0, seconds, 0.005)):
-        report(loop, now, shift=(k % 2) * offset * np.eye(6)[joint])
-        efforts.append(loop.step(now).efforts.copy())
-    return np.array(efforts)
-
-
-def test_contradictory_positions_of_a_commanded_joint_stop_the_arm():
-    loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.0, stop_ramp=0.2))
-    step_with_two_publishers(loop, 0.0, 1.0, 1, 0.0)
-    efforts = step_with_two_publishers(loop, 1.0, 1.0, 1, 0.7)
-    assert np.count_nonzero(np.abs(np.diff(efforts[:, 1])) > 1.0) <= 6
-    assert (efforts[20:] == 0.0).all()
-    assert loop.supervisor.limit_stop.startswith(f'{NAMES[1]} jumps to and fro by 0.7 rad: ')
-
-
 def test_contradictory_positions_of_another_joint_do_not_stop_the_arm():
     loop = ControlLoop(MODEL, [name for k, name in enumerate(NAMES) if k != 4], Settings())
-    efforts = step_with_two_publishers(loop, 0.0, 2.0, 4, 1.5)
+    efforts = []
+    for k, now in enumerate(np.arange(0.0, 2.0, 0.005)):  # by two publishers in turn
+        report(loop, now, shift=1.5 * (k % 2) * np.eye(6)[4])
+        efforts.append(loop.step(now).efforts.copy())
     largest = np.abs(efforts).max()
     assert largest > 1.0
     assert np.abs(np.diff(efforts, axis=0)).max() <= 2.0 * largest * 0.005 / 0.5
@@ -373,8 +349,9 @@ def test_the_first_wrench_is_blended_in_and_a_renewed_one_acts_at_once():
     push(arm, -40.0)
     assert play(arm, 0.005)[-1] == pytest.approx(2.0 * HOLD - pushed)
     last = play(arm, 0.3)[-1]  # it ends, and is blended out
+    assert np.abs(last - (2.0 * HOLD - pushed)).max() > 1.0
     push(arm, 40.0)
-    assert play(arm, 0.005)[-1] == pytest.approx(last, abs=0.2)
+    assert play(arm, 0.005)[-1] == pytest.approx(last)
 
 
 def test_a_wrench_that_was_renewed_too_late_is_blended_in_even_without_a_step_between():

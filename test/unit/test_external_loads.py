@@ -102,6 +102,8 @@ def test_a_wrench_that_was_not_renewed_in_time_is_a_jump(dynamics):
         loads.update(now)
     assert is_jump(1.05)  # it has begun to fade
     assert not is_jump(1.1)
+    assert loads.update(1.1)  # although the last one was renewed in time
+    assert not loads.update(1.1)
 
 
 def test_the_motion_of_the_base_replaces_gravity(loads, dynamics):
@@ -169,24 +171,19 @@ def test_vectors_are_in_the_frame_of_the_base_link():
     ('call', 'words'),
     [
         (lambda x: x.set_payload('nope', 1.0, Q[:3], INERTIA), "link 'nope' does not exist"),
-        (lambda x: x.set_payload(TIP, -1.0, Q[:3], INERTIA), 'mass is -1.0'),
         (lambda x: x.set_external_wrench(0.0, '', DOWN, DOWN), "link '' does not exist; links"),
         (lambda x: x.set_external_wrench(0.0, TIP, [math.nan] * 3, DOWN), 'force is .*nan'),
         (lambda x: x.set_payload(TIP, 1e300, Q[:3], INERTIA), 'inertia. is 1e.300'),
         (lambda x: x.set_payload(TIP, 1.0, [1e200, 0, 0], INERTIA), 'inertia. is 1e.200'),
         (lambda x: x.set_payload(TIP, 1.0, Q[:3], 1e99 * INERTIA), 'inertia. is 2e.97'),
         (lambda x: x.set_payload(TIP, 1.0, Q[:3], FLAWED), 'moments .0.1, 0.1, 0.3 kg m'),
-        (lambda x: x.set_external_wrench(0.0, TIP, [1e300, 0, 0], DOWN), 'force is .*at most 1e'),
         (lambda x: x.set_gravity([1.0, 2.0]), 'expected three finite numbers'),
         (lambda x: x.set_gravity([101.0, 0.0, 0.0]), r'is \[101.0, 0.0, 0.0\], .* 100 m/s'),
         (lambda x: x.set_base_motion(0.0, [math.inf, 0, 0], DOWN), 'specific force is'),
-        (lambda x: x.set_base_motion(0.0, DOWN, [0, 0, 1e4]), 'angular velocity is'),
         (lambda x: x.set_base_motion(0.0, [600.0, 0, 0], DOWN), 'specific force .*m/s.2'),
-        (lambda x: x.set_base_motion(0.0, [math.nan] * 3, DOWN), 'specific force .*m/s.2'),
         (lambda x: x.set_base_motion(0.0, DOWN, [0, 0, 1e4]), 'at most 500 rad/s'),
         (lambda x: x.set_external_wrench(0.0, TIP, [2e9, 0, 0], DOWN), 'at most 1e.09 N along'),
         (lambda x: x.set_external_wrench(0.0, TIP, DOWN, [2e9, 0, 0]), '^moment .* 1e.09 N m'),
-        (lambda x: x.set_gravity([1e9, 0.0, 0.0]), '^gravity is'),
         (lambda x: ExternalLoads(x.dynamics, gravity=[math.nan] * 3), '^gravity is .*m/s.2'),
         (lambda x: x.set_payload(TIP, 1.0, Q[:3], SLENDER), 'exceeds the sum of the others'),
     ],

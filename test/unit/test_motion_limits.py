@@ -57,16 +57,41 @@ def test_a_restart_ends_a_limit_stop_and_the_end_of_a_dry_run_does_not():
     assert arm.move(REST, 0.1)[-1].any()
 
 
-@pytest.mark.parametrize('guiding', [0.3, 0.5])
-def test_an_arm_that_is_pushed_becomes_heavy_and_is_not_stopped(guiding):
+@pytest.mark.parametrize('reported', [1.0, math.nan])
+@pytest.mark.parametrize(('guiding', 'behind'), [(0.3, None), (0.5, None), (0.3, 0.0)])
+def test_an_arm_that_is_pushed_becomes_heavy_and_is_not_stopped(guiding, behind, reported):
+    """Or an arm that follows a reference, which may be faster."""
     arm = moving(guiding_speed=guiding)
-    upward = np.sign(arm.move()[-1][0])
-    free = arm.move((0.85 * guiding * upward * SPEED[0], 0.0), 0.1)[-1]
+    arm.q[0] = -2.4  # far from where its weight changes its sign
+    limit = (guiding if behind is None else 1.0) * SPEED[0]
+    upward = np.sign(arm.move(reported=reported, behind=behind)[-1][0])
+
+    def move(share, duration):
+        qd = (share * upward * limit, 0.0)
+        return arm.move(qd, duration, reported=reported, behind=behind)[-1]
+
+    free = move(0.85, 0.2)
     assert np.abs(free[0]) > 1.0
-    heavy = arm.move((1.05 * guiding * upward * SPEED[0], 0.0), 0.1)[-1]
+    heavy = move(1.05, 0.2)
     assert heavy[0] == 0.0
     assert heavy[1] != 0.0
     assert not arm.limit_stop
+
+
+def test_efforts_fade_within_30_ms_and_return_within_200_ms_or_sooner_against_the_motion():
+    arm = moving(guiding_speed=0.5)
+    full = arm.move()[-1][0]
+    fast = np.array([0.5 * np.sign(full) * SPEED[0], 0.0])
+
+    def shares(qd, seconds):
+        commands = arm.move(qd, seconds, period=0.01)[:, 0]
+        q, rest = arm.q.copy(), np.zeros(2)
+        return commands / InverseDynamics(PLANAR).efforts(q, qd, rest)[0]
+
+    assert shares(fast, 0.04) == pytest.approx([2 / 3, 1 / 3, 0.0, 0.0], abs=0.05)
+    assert shares(0.5 * fast, 0.03) == pytest.approx([0.05, 0.1, 0.15], abs=0.01)
+    assert shares(0.97 * fast, 0.01) == pytest.approx([0.2], abs=0.02)
+    assert shares(-0.5 * fast, 0.03) == pytest.approx([0.2 + 1 / 3, 0.2 + 2 / 3, 1.0], abs=0.05)
 
 
 def test_positions_that_jump_to_and_fro_stop_the_arm_in_every_mode():
