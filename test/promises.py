@@ -9,15 +9,14 @@ but decides by itself which changes of the inputs are motion, and how far ramps 
 from dataclasses import dataclass
 import math
 
-from inverse_dynamics_node.control import stop_damping
 from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import COMPUTING_PHASES, Phase
-from inverse_dynamics_node.control.motion_limits import LIMIT_RAMP
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
 import numpy as np
 
 ROUNDING = 1e-6  # [N m]
 LARGEST_CHANGE = 1e3  # [N m]; beyond the limits, so that larger ones make no difference
+LIMIT_RAMP, LONGEST_DAMPING = 0.01, 20.0  # [s]; of a limit stop, of a damped stop
 NOMINAL_STEP = 0.02  # [s]; ramps advance by at most as long in one command, or by a period
 SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
 RAMPS = 3.0  # ramps over the largest effort that may coincide: a start, a blend over twice of it
@@ -229,7 +228,7 @@ class Promises:
         off = np.abs(added - share * full)
         require((off <= ROUNDING).all(), 'damping of some joints only', off)
         most = min(1.0, (self.ramp_passed + 1e-9) / settings.stop_ramp)
-        late = self.ramp_passed - stop_damping.TIMEOUT - settings.stop_ramp
+        late = self.ramp_passed - LONGEST_DAMPING - settings.stop_ramp
         require(share <= most + ROUNDING, 'damping rises too fast', share, most)
         require(late <= 2.0 * self.base, 'damping takes too long', late)
         way = np.abs(loop.collector.q - self.stopped_at)
