@@ -17,6 +17,7 @@ os.environ['PYTHONUNBUFFERED'] = '1'
 
 pytest.importorskip('rclpy')
 
+from diagnostic_msgs.msg import DiagnosticArray
 from domain_coordinator import domain_id as unused_domain_id
 from fork_server import MAIN, SERVER
 from late_compilation import REPORT
@@ -112,3 +113,29 @@ def robot(domain_id):
     yield side
     _ROBOTS.remove(side)
     side.close()
+
+
+@pytest.fixture
+def wait_for_status(robot):
+    """Return a function that waits for a status of a part, and returns its values."""
+    heard = robot.listen(DiagnosticArray, '/diagnostics')
+
+    def wait(part, level, words, key='', value=''):
+        def find(array):
+            for status in array.status:
+                values = {pair.key: pair.value for pair in status.values}
+                if status.name != f'inverse_dynamics: {part}' or status.level != level:
+                    continue
+                if words in status.message and (not key or value in values.get(key, ())):
+                    return values
+            return None
+
+        try:
+            robot.wait_until(lambda: any(map(find, heard)), f'{part}: {words}')
+        except AssertionError as error:
+            raise AssertionError(f'{error}; last was {heard[-1:]}') from error
+        found = next(filter(None, map(find, heard)))
+        heard.clear()
+        return found
+
+    return wait

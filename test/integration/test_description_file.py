@@ -170,10 +170,3 @@ def test_package_without_a_workspace(workspace, monkeypatch):
 def test_the_node_starts_with_a_package_uri(workspace, run_node, robot):
     node = run_node(robot_description_file='package://my_robot/urdf/arm.urdf')
     robot.wait_for_text(node, "robot 'stanford'")
-
-
-def test_the_node_ends_when_the_file_is_missing(workspace, run_node):
-    node = run_node(robot_description_file='nope.urdf')
-    assert node.wait() == 1
-    assert f'no such file: {workspace}/nope.urdf' in node.output
-    assert 'Traceback' not in node.output

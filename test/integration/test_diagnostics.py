@@ -4,41 +4,14 @@ import math
 import re
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Inertia, InertiaStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
-import pytest
 from robot_files import STANFORD
 from robot_side import FAST, HOLD, NAMES, PATIENT, Q, ZERO
 from std_msgs.msg import Float64MultiArray, Header
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-
-
-@pytest.fixture
-def wait_for_status(robot):
-    """Return a function that waits for a status of a part, and returns its values."""
-    heard = robot.listen(DiagnosticArray, '/diagnostics')
-
-    def wait(part, level, words, key='', value=''):
-        def find(array):
-            for status in array.status:
-                values = {pair.key: pair.value for pair in status.values}
-                if status.name != f'inverse_dynamics: {part}' or status.level != level:
-                    continue
-                if words in status.message and (not key or value in values.get(key, ())):
-                    return values
-            return None
-
-        try:
-            robot.wait_until(lambda: any(map(find, heard)), f'{part}: {words}')
-        except AssertionError as error:
-            raise AssertionError(f'{error}; last was {heard[-1:]}') from error
-        found = next(filter(None, map(find, heard)))
-        heard.clear()
-        return found
-
-    return wait
 
 
 def lines(node, words):

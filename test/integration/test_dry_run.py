@@ -35,7 +35,7 @@ def wait_for_silence(robot):
         if len(robot.commands) > count[0]:
             count[0] = len(robot.commands)
             robot.joint_efforts.clear()
-        return len(robot.joint_efforts) > 100
+        return len(robot.joint_efforts) > 50
 
     count = [len(robot.commands)]
     robot.joint_efforts.clear()

@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
 import numpy as np
@@ -18,23 +18,14 @@ ARM = ROOT / 'test/robots/seven_dof.urdf'
 JOINTS = load_urdf(ARM).joint_names
 
 
-def level_of_the_loop(messages):
-    """Return the level and the message of the control loop in the last diagnostics."""
-    found = [s for m in messages for s in m.status if s.name.endswith('loop')]
-    return (found[-1].level, found[-1].message) if found else (None, '')
-
-
-def test_wrong_velocities_stop_the_arm_until_it_is_enabled(run_node, robot):
-    diagnostics = robot.listen(DiagnosticArray, '/diagnostics')
+def test_wrong_velocities_stop_the_arm_until_it_is_enabled(run_node, robot, wait_for_status):
     node, motion = run_moving_arm(run_node, robot, sign=-1.0)
     robot.wait_for_command(ZERO, tolerance=0.0)
-    robot.wait_for_text(node, 'contradict its positions')
+    words = 'stopped: the velocities of joint_'
+    robot.wait_for_text(node, words)
+    assert 'contradict its positions' in node.output
     assert '[ERROR]' in node.output
-    assert 'stopped: the velocities of joint_' in node.output
-    robot.wait_until(
-        lambda: level_of_the_loop(diagnostics)[0] == DiagnosticStatus.ERROR, 'diagnostics'
-    )
-    assert 'stopped: the velocities of joint_' in level_of_the_loop(diagnostics)[1]
+    wait_for_status('loop', DiagnosticStatus.ERROR, words)
     motion.sign = 1.0
     motion.rest()
     count = len(robot.commands)

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from node_process import heed_signals
 import pytest
 from robot_side import HOLD, NAMES, PATIENT, Q, ZERO
@@ -48,28 +48,15 @@ def threads_of(pid):
     return found
 
 
-def wait_for_scheduling(robot, level, words):
-    """Wait for the status of the scheduling; return its values."""
-    heard = robot.listen(DiagnosticArray, '/diagnostics')
-
-    def find(array):
-        for status in array.status:
-            if status.name == 'inverse_dynamics: scheduling' and words in status.message:
-                assert status.level == level, status
-                return {pair.key: pair.value for pair in status.values}
-        return None
-
-    robot.wait_until(lambda: any(map(find, heard)), f'scheduling: {words}')
-    return next(filter(None, map(find, heard)))
-
-
 @needs_permission
-def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node, robot):
+def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(
+    run_node, robot, wait_for_status
+):
     node = run_node(**PATIENT, thread_priority=40)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
     pid = node.process.pid
-    values = wait_for_scheduling(robot, DiagnosticStatus.OK, 'real-time priority')
+    values = wait_for_status('scheduling', DiagnosticStatus.OK, 'real-time priority')
     assert (values['policy'], values['priority']) == ('SCHED_FIFO', '40')
 
     def scheduling(is_middleware):
@@ -101,11 +88,11 @@ def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node
     assert robot.set_parameter('thread_priority', 41).successful is False
 
 
-def test_without_permission_the_node_works_and_says_what_to_do(run_node, robot):
+def test_without_permission_the_node_works_and_says_what_to_do(run_node, robot, wait_for_status):
     node = run_node(prepare=forbid, **PATIENT)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
-    wait_for_scheduling(robot, DiagnosticStatus.WARN, 'normal priority: SCHED_FIFO 50 is not')
+    wait_for_status('scheduling', DiagnosticStatus.WARN, 'normal priority: SCHED_FIFO 50 is not')
     pid = node.process.pid
     assert threads_of(pid)[pid][1] == os.SCHED_OTHER
     node.interrupt(signal.SIGTERM)

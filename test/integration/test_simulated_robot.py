@@ -214,7 +214,7 @@ def without_mass(path, joints):
     return etree.tostring(root, encoding='unicode')
 
 
-@pytest.mark.parametrize('has_mass', [True, False], ids=['with mass', 'without mass'])
+@pytest.mark.parametrize('has_mass', [True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ('path', 'held'),
     [
