@@ -34,6 +34,8 @@ _BROKEN_VALUE = re.compile(
     rb'<(origin|mass|inertia|axis|limit|dynamics|mimic)\b[^<>]*='
     rb'\s*(["\'])[^"\'<>]*[\r\n\t][^"\'<>]*\2'
 )
+_DOCTYPE = re.compile(rb'\s*(<\?[^>]*>\s*)?<!doctype', re.IGNORECASE)
+_NO_DOCTYPE = 'DOCTYPE/DTD is not allowed in a URDF'
 _COMMENT = re.compile(rb'<!--.*?-->', re.DOTALL)
 
 
@@ -113,14 +115,15 @@ def parse(source: Source, keep_comments: bool = False) -> Element:
         root = etree.fromstring(source.data, parser)
     except etree.XMLSyntaxError as error:
         raise UrdfError([f'not well-formed XML: {error.msg}'], source.name) from error
-    has_dtd = root is not None and root.getroottree().docinfo.internalDTD is not None
-    if has_dtd or source.data.lstrip()[:9].lower() == b'<!doctype':
-        raise UrdfError(['DOCTYPE/DTD is not allowed in a URDF'], source.name)
+    if _DOCTYPE.match(source.data):
+        raise UrdfError([_NO_DOCTYPE], source.name)
     for entry in parser.error_log:
         if entry.level >= etree.ErrorLevels.ERROR and entry.type_name not in _HARMLESS:
             where = f'line {entry.line}, column {entry.column}'
             problem = f'not well-formed XML: {entry.message.strip()}, {where}'
             raise UrdfError([problem], source.name)
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise UrdfError([_NO_DOCTYPE], source.name)
 
     if tag(root) != 'robot':
         known = _FOREIGN_ROOTS.get(tag(root).lower())
