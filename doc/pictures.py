@@ -34,7 +34,6 @@ ROOT = Path(__file__).resolve().parent.parent
 URDF, IMAGES = ROOT / 'config' / 'stanford.urdf', ROOT / 'doc' / 'images'
 NODE, COLUMNS, WATCHED = '/inverse_dynamics', 104, 15.0  # [s]
 PICTURES = {
-    'check': 'check config/stanford.urdf --picture check.png',
     'effort': 'effort config/stanford.urdf doc/stanford_pick.yaml --payload 2 --link tool0',
     'compare': 'compare config/stanford.urdf run',
     'identify': 'identify my_arm.urdf run_1.csv --validate run_2.csv --output calibrated.urdf'

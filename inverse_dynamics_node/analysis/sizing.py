@@ -1,10 +1,4 @@
-"""
-Computes the efforts that a trajectory requires, and the payload that the effort limits allow.
-
-Gravity efforts are computed in poses that are sampled from the whole workspace. A local search
-starts from the samples with the largest efforts and moves one joint at a time. The search finds
-the worst poses, such as a fully extended arm.
-"""
+"""Computes what drives need: gravity efforts in all poses, a payload, and trajectories."""
 
 from __future__ import annotations
 
@@ -22,15 +16,14 @@ from ..errors import ConfigurationError
 from ..robot.kinematics import path_to
 from ..robot.model import Booleans, Floats, Integers, RobotModel
 
-SAMPLES = 4096
-_CANDIDATES = 33
-"""Number of positions that the search tries for each joint, 11 degrees apart over a full turn."""
-_WINDOWS = (1.0, 1.0, 0.1, 0.01)
-"""Fraction of the joint range that each pass of the search covers."""
-_STARTS = 3
-"""The search starts from this many samples, which have the largest efforts."""
-_MOST_BODIES = 2e8
-"""Largest product of poses and bodies in a search, which then takes about ten seconds."""
+_SAMPLES = 4096
+_STARTS = 5
+"""The search for a worst pose starts from this many of the worst samples."""
+_SWEEPS = 3
+"""Number of times that the search for a worst pose moves every joint."""
+_MOST_JOINTS = 100
+"""With more joints, the worst of the samples is the result: a search would take minutes."""
+_THIRDS = np.array([0.0, 2.0, 4.0]) * math.pi / 3.0
 _TIE = 1e-9
 """Efforts with a smaller relative difference are regarded as equal."""
 _ROUNDING = 1e-6
@@ -39,39 +32,20 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """Gravity efforts of a robot in many poses."""
+    """Worst gravity efforts of the n joints of a robot."""
 
     robot: RobotModel
     poses: Floats
-    """
-    Joint positions, shape (poses, joints) [rad or m].
-
-    The first rows are the worst pose of each joint. The sampled poses follow.
-    """
-    efforts: Floats
-    """Gravity efforts in the `poses`, shape (poses, joints) [N m or N]."""
-    limits: Floats
-    """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
-    is_search_shortened: bool = False
-    """Whether the search for the worst poses was shortened because of many joints."""
+    """Pose with the largest gravity effort of each joint, shape (n, n) [rad or m]."""
+    worst: Floats
+    """Gravity effort of each joint in its worst pose, shape (n,) [N m or N]."""
+    samples: Floats
+    """Random poses, shape (samples, n) [rad or m]."""
 
     @property
-    def sampled(self) -> slice:
-        """Slice of the sampled poses."""
-        return slice(len(self.limits), None)
-
-    @property
-    def worst(self) -> Integers:
-        """Indices of the poses with the largest gravity effort of each joint, shape (joints,)."""
-        # If several poses are equally bad, choose the first pose, which the search found.
-        sizes = np.abs(self.efforts)
-        highest = np.max(sizes, axis=0) * (1.0 - _TIE) - _TIE * np.max(sizes)
-        return np.asarray(np.argmax(sizes >= highest, axis=0))
-
-    @property
-    def peaks(self) -> Floats:
-        """Largest absolute gravity effort of each joint, shape (joints,) [N m or N]."""
-        return np.asarray(np.max(np.abs(self.efforts), axis=0))
+    def ratios(self) -> Floats:
+        """Ratio of each worst effort to its limit, shape (n,); 0 without a limit."""
+        return np.asarray(np.abs(self.worst) / self.robot.effort_limits)
 
     @property
     def hardest(self) -> int:
@@ -81,8 +55,7 @@ class Workspace:
         Without effort limits, the joint with the largest effort is chosen.
 
         """
-        ratios = self.peaks / self.limits
-        return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
+        return int(np.argmax(self.ratios if np.any(self.ratios > 0.0) else np.abs(self.worst)))
 
 
 class PayloadCapacity(NamedTuple):
@@ -94,7 +67,9 @@ class PayloadCapacity(NamedTuple):
     joint: str | None
     """The joint that reaches its limit first; None if no joint reaches a limit."""
     pose: Floats
-    """Pose in which the joint reaches its limit, shape (joints,) [rad or m]."""
+    """Pose in which the joint reaches its limit, shape (n,) [rad or m]."""
+    loads_joints: bool = True
+    """Whether the payload changes the gravity effort of any joint."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
@@ -107,72 +82,32 @@ def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
     return lower, upper
 
 
-def explore(
-    dynamics: InverseDynamics,
-    samples: int = SAMPLES,
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> Workspace:
+def explore(dynamics: InverseDynamics) -> Workspace:
     """
-    Compute the gravity efforts over the whole workspace.
+    Find the largest gravity effort of each joint over the whole workspace.
 
-    The poses are an unscrambled Sobol sequence, so equal arguments give equal results. The number
-    of samples is rounded up to a power of two. `progress` is called repeatedly with the completed
-    fraction, 0 to 1. Raises ConfigurationError if the robot has no movable joint, or if fewer than
-    two samples are requested.
+    The search starts from the worst of random poses, which are the same in every call. Raises
+    ConfigurationError if the robot has no movable joint.
 
     """
-    from scipy.stats import qmc  # the import takes a second
-
     robot = dynamics.robot
-    n = len(robot.joint_names)
-    if n == 0:
+    if not robot.joint_names:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joint")
-    if samples < 2:
-        raise ConfigurationError(f'samples is {samples}, expected at least 2')
     lower, upper = joint_ranges(robot)
-    sequence = qmc.Sobol(n, scramble=False).random_base2(math.ceil(math.log2(samples)))
-    poses = lower + (upper - lower) * sequence
-    efforts = dynamics.gravity_efforts(poses)
-    noise = _TIE * float(np.max(np.abs(efforts)))
-    starts, windows, most_joints = _extent_of_search(n)
-    related_joints = _related_joints(robot)
-    found = []
-    for joint in range(n):
-        related = related_joints[joint]
-        moved = np.flatnonzero(related)
-        # If there are too many joints to move, move the nearest joints, which matter most.
-        nearest = np.sort(moved[np.argsort(np.abs(moved - joint), kind='stable')[:most_joints]])
-
-        def size(poses: Floats, joint: int = joint) -> Floats:
-            return np.asarray(np.abs(dynamics.gravity_efforts(poses)[:, joint]))
-
-        tops = []
-        for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]:
-            # Set unrelated joints to zero, because the pose is then easier to imagine.
-            start = np.where(related, poses[k], np.clip(0.0, lower, upper))
-            tops.append(_climb(size, start, nearest, lower, upper, noise, windows))
-        # Choose the first pose, unless the effort in another pose is clearly larger.
-        heights = size(np.array(tops))
-        found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
-        progress((joint + 1) / n)
-    worst = np.array(found)
-    return Workspace(
-        robot,
-        np.concatenate([worst, poses]),
-        np.concatenate([dynamics.gravity_efforts(worst), efforts]),
-        robot.effort_limits,
-        starts < _STARTS,
-    )
-
-
-def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
-    """Return the number of starts, the windows, and the largest number of joints to move."""
-    for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
-        bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
-        most_joints = max(1, int(_MOST_BODIES / bodies))
-        if most_joints >= joints:
-            break
-    return starts, windows, most_joints
+    n = len(lower)
+    samples = np.random.default_rng(1979).uniform(lower, upper, (_SAMPLES, n))
+    efforts = np.abs(dynamics.gravity_efforts(samples))
+    first = samples[np.argsort(-efforts, axis=0)[:_STARTS]]  # shape (starts, n, n)
+    # Set unrelated joints to zero, because the pose is then easier to imagine.
+    starts = np.where(_related_joints(robot), first, np.clip(0.0, lower, upper))
+    columns = np.tile(np.arange(n), _STARTS)
+    noise = _TIE * float(np.max(efforts))
+    found = _worst_poses(
+        robot, dynamics.gravity_efforts, starts.reshape(-1, n), columns, noise
+    ).reshape(starts.shape)
+    reached = dynamics.gravity_efforts(found)[:, range(n), range(n)]
+    best = np.argmax(np.abs(reached) * (1.0 - _TIE * np.arange(_STARTS)[:, np.newaxis]), axis=0)
+    return Workspace(robot, found[best, range(n)], reached[best, range(n)], samples)
 
 
 def payload_capacity(
@@ -182,87 +117,94 @@ def payload_capacity(
     Compute the largest payload that the robot can hold at rest within its effort limits.
 
     The payload is a point mass at the origin of a link. If the robot already carries a payload,
-    `workspace` must include this payload, and the capacity is the additional mass. The capacity is
-    valid for all poses in `workspace`, and for the worst pose that a local search finds. Raises
+    `workspace` must include this payload, and the capacity is the additional mass. Raises
     ConfigurationError if the link does not exist.
 
-    Gravity efforts are linear in the mass, so the effort per kilogram determines the largest mass.
+    Gravity efforts are linear in the mass, so the effort per kilogram determines the largest mass
+    in each pose. The pose that permits the least mass is made worse until the mass settles.
 
     """
-    robot, limits = workspace.robot, workspace.limits
-    if np.any(workspace.peaks > limits):
-        worst = workspace.poses[workspace.worst[workspace.hardest]]
-        return PayloadCapacity(link, 0.0, robot.joint_names[workspace.hardest], worst)
+    robot = workspace.robot
     bare = InverseDynamics(robot, dynamics.gravity)
     laden = InverseDynamics(robot, dynamics.gravity)
     laden.set_payload(link, 1.0)
+    if workspace.ratios.max() > 1.0:
+        hardest = workspace.hardest
+        return PayloadCapacity(link, 0.0, robot.joint_names[hardest], workspace.poses[hardest])
+
+    def per_kilogram(poses: Floats) -> Floats:
+        return laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
 
     def masses(poses: Floats) -> Floats:
-        """Return the mass that each joint can hold in each pose, shape (poses, joints) [kg]."""
-        per_kilogram = laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
-        efforts, slope = dynamics.gravity_efforts(poses), np.abs(per_kilogram)
+        """Return the mass that each joint can hold in each pose, shape (poses, n) [kg]."""
+        slope = per_kilogram(poses)
         # Existing effort in the direction of the added effort.
-        used = efforts * np.sign(per_kilogram)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            found = np.where(slope > 1e-12, (limits - used) / slope, math.inf)
-        found = np.where(np.isfinite(limits), np.maximum(found, 0.0), math.inf)
-        return np.where(np.abs(efforts) > limits, 0.0, found)
+        used = dynamics.gravity_efforts(poses) * np.sign(slope)
+        slope = np.where(np.abs(slope) > 1e-12, np.abs(slope), 1e-300)
+        return np.asarray(np.maximum(robot.effort_limits - used, 0.0) / slope)
 
-    def shortage(poses: Floats) -> Floats:
-        least: Floats = np.min(masses(poses), axis=1)
-        # The shortage is finite, and increases when the mass decreases.
-        return 1.0 / (np.minimum(least, 1e9) + 1e-6)
+    poses = np.concatenate([workspace.poses, workspace.samples])
+    loads_joints = bool(np.any(np.abs(per_kilogram(poses)) > 1e-12))
+    best = PayloadCapacity(link, math.inf, None, poses[0], loads_joints)
+    for _ in range(_SWEEPS):
+        allowed = masses(poses)
+        row, joint = np.unravel_index(np.argmin(allowed), allowed.shape)
+        mass, pose = float(allowed[row, joint]), poses[row]
+        if mass >= min(best.mass, 1e100):
+            break
+        best = PayloadCapacity(link, mass, robot.joint_names[joint], pose)
 
-    everywhere = np.min(masses(workspace.poses), axis=1)
-    start: Floats = workspace.poses[np.argmin(everywhere)]
-    if math.isfinite(np.min(everywhere)):
-        lower, upper = joint_ranges(robot)
-        path = path_to(robot, int(robot.link_body[robot.link_index(link)]))
-        start = _climb(shortage, start, np.unique(robot.joint_index[path]), lower, upper)
-    allowed = masses(start[np.newaxis])[0]
-    joint = int(np.argmin(allowed))
-    mass = min(float(allowed[joint]), float(np.min(everywhere)))
-    return PayloadCapacity(
-        link, mass, robot.joint_names[joint] if mass < math.inf else None, start
-    )
+        def efforts(poses: Floats, mass: float = mass) -> Floats:
+            return dynamics.gravity_efforts(poses) + mass * per_kilogram(poses)
+
+        starts = poses[np.argsort(allowed[:, joint])[:_STARTS]]
+        poses = _worst_poses(robot, efforts, starts, np.full(len(starts), joint), _TIE)
+    return best
 
 
-def _climb(
-    height: Callable[[Floats], Floats],
-    start: Floats,
-    joints: Integers,
-    lower: Floats,
-    upper: Floats,
-    noise: float = 0.0,
-    windows: tuple[float, ...] = _WINDOWS,
+def _worst_poses(
+    robot: RobotModel,
+    efforts: Callable[[Floats], Floats],
+    starts: Floats,
+    columns: Integers,
+    noise: float,
 ) -> Floats:
     """
-    Maximise a function of the pose, one joint at a time, in smaller and smaller windows.
+    Increase the size of one effort in each of k poses, one joint at a time.
 
-    There are few local maxima, because gravity efforts are sinusoidal in the position of a
-    revolute joint and linear in the position of a prismatic joint. If several positions of a joint
+    `starts` has the shape (k, n) [rad or m], and `columns` are the k joints with these efforts.
+    Gravity efforts are sinusoidal in the position of a revolute joint, so three values give the
+    positions of its extrema. They are linear in the position of a prismatic joint. For joints that
+    others mimic, both are approximations, so the best of several positions is chosen. If several
     are equally good, the position nearest to zero is chosen.
 
     """
-    pose: Floats = start.copy()
-    for fraction in windows:
-        half = 0.5 * fraction * (upper - lower)
-        for joint in joints:
-            low = max(lower[joint], pose[joint] - half[joint]) if fraction < 1.0 else lower[joint]
-            high = min(upper[joint], pose[joint] + half[joint]) if fraction < 1.0 else upper[joint]
-            places = np.linspace(low, high, _CANDIDATES)
-            places = np.append(places, [pose[joint], np.clip(0.0, lower[joint], upper[joint])])
-            poses = np.tile(pose, (len(places), 1))
-            poses[:, joint] = places
-            heights = height(poses)
-            best = float(np.max(heights))
-            ties = np.flatnonzero(heights >= best * (1.0 - _TIE) - noise)
-            pose = poses[ties[np.argmin(np.abs(places[ties]))]]
-    return pose
+    lower, upper = joint_ranges(robot)
+    poses: Floats = starts.copy()
+    rows = np.arange(len(starts))
+
+    def efforts_at(joint: int, places: Floats) -> Floats:
+        tried = np.repeat(poses[:, np.newaxis], places.shape[1], axis=1)
+        tried[:, :, joint] = places
+        return np.asarray(efforts(tried)[rows, :, columns])
+
+    for joint in list(range(len(lower))) * (_SWEEPS if len(lower) <= _MOST_JOINTS else 0):
+        low, high = lower[joint], upper[joint]
+        values = efforts_at(joint, np.tile(_THIRDS, (len(rows), 1)))
+        phase = np.arctan2(values @ np.sin(_THIRDS), values @ np.cos(_THIRDS))
+        first = phase + math.pi * np.ceil((low - phase) / math.pi)
+        extrema = [first, first + math.pi, first + 2.0 * math.pi]
+        fixed = [np.full(len(rows), place) for place in (low, high, 0.0)]
+        places = np.clip(np.stack([poses[:, joint], *fixed, *extrema], axis=1), low, high)
+        sizes = np.abs(efforts_at(joint, places))
+        is_best = sizes >= np.max(sizes, axis=1, keepdims=True) * (1.0 - _TIE) - noise
+        choice = np.argmin(np.where(is_best, np.abs(places), math.inf), axis=1)
+        poses[:, joint] = places[rows, choice]
+    return poses
 
 
 def _related_joints(robot: RobotModel) -> Booleans:
-    """Return which joints affect the gravity effort of each joint, shape (joints, joints)."""
+    """Return which joints affect the gravity effort of each joint, shape (n, n)."""
     related = np.zeros((len(robot.joint_names), len(robot.joint_names)), dtype=bool)
     for body in range(1, len(robot.parent)):
         path = robot.joint_index[path_to(robot, body)]
@@ -274,36 +216,33 @@ def _related_joints(robot: RobotModel) -> Booleans:
 
 
 class EffortRequirements(NamedTuple):
-    """Efforts, speeds and powers that a trajectory requires."""
+    """Efforts, speeds and powers that a trajectory of m joints requires at k times."""
 
+    trajectory: Trajectory
     efforts: Floats
-    """Joint efforts, shape (times, joints) [N m or N]."""
+    """Joint efforts, shape (k, m) [N m or N]."""
     terms: EffortTerms
-    """Terms of the efforts, such as gravity, each of shape (times, joints) [N m or N]."""
+    """Terms of the efforts, such as gravity, each of shape (k, m) [N m or N]."""
     peak: Floats
-    """Signed effort with the largest absolute value, shape (joints,) [N m or N]."""
+    """Signed effort with the largest absolute value, shape (m,) [N m or N]."""
     peak_time: Floats
-    """Time of the peak effort, shape (joints,) [s]."""
+    """Time of the peak effort, shape (m,) [s]."""
     rms: Floats
-    """Root mean square of the effort over time, shape (joints,) [N m or N]."""
+    """Root mean square of the effort over time, shape (m,) [N m or N]."""
     rms_terms: Floats
-    """Root mean square of each term over time, shape (5, joints) [N m or N]."""
+    """Root mean square of each term over time, shape (5, m) [N m or N]."""
     speed: Floats
-    """Largest speed, shape (joints,) [rad/s or m/s]."""
+    """Largest speed, shape (m,) [rad/s or m/s]."""
     power: Floats
-    """Largest product of effort and velocity, shape (joints,) [W]; 0 if the joint only brakes."""
+    """Largest product of effort and velocity, shape (m,) [W]; 0 if the joint only brakes."""
     braking: Floats
-    """Largest power that the joint absorbs, shape (joints,) [W]; 0 if the joint never brakes."""
+    """Largest power that the joint absorbs, shape (m,) [W]; 0 if the joint never brakes."""
     effort_limits: Floats
-    """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
+    """Effort limits, shape (m,) [N m or N]; inf for a joint without a limit."""
     velocity_limits: Floats
-    """Velocity limits, shape (joints,) [rad/s or m/s]; inf for a joint without a limit."""
-    is_too_strong: Booleans
-    """Whether the peak effort exceeds the effort limit, shape (joints,)."""
-    is_too_fast: Booleans
-    """Whether the largest speed exceeds the velocity limit, shape (joints,)."""
-    is_too_far: Booleans
-    """Whether a position is outside the position limits, shape (joints,)."""
+    """Velocity limits, shape (m,) [rad/s or m/s]; inf for a joint without a limit."""
+    is_beyond: dict[str, Booleans]
+    """Whether the largest effort, speed or position is beyond its limit, each of shape (m,)."""
 
 
 def effort_requirements(
@@ -323,12 +262,14 @@ def effort_requirements(
     (q, qd, qdd), index = whole_states(dynamics, trajectory, others)
     efforts = dynamics.efforts(q, qd, qdd)[:, index]
     terms = EffortTerms(*(term[:, index] for term in dynamics.effort_terms(q, qd, qdd)))
-    velocities, positions = qd[:, index], q[:, index]
+    positions, velocities = q[:, index], qd[:, index]
     largest = np.argmax(np.abs(efforts), axis=0)
+    peak, speed = efforts[largest, range(len(index))], np.max(np.abs(velocities), axis=0)
     power = efforts * velocities
-    speed = np.max(np.abs(velocities), axis=0)
-    peak = efforts[largest, range(len(index))]
+    too_low = np.any(positions + _ROUNDING < robot.lower[index], axis=0)
+    too_high = np.any(positions - _ROUNDING > robot.upper[index], axis=0)
     return EffortRequirements(
+        trajectory=trajectory,
         efforts=efforts,
         terms=terms,
         peak=peak,
@@ -340,13 +281,11 @@ def effort_requirements(
         braking=np.max(-power, axis=0, initial=0.0),
         effort_limits=robot.effort_limits[index],
         velocity_limits=robot.velocity_limits[index],
-        is_too_strong=np.abs(peak) > robot.effort_limits[index] * (1.0 + _ROUNDING),
-        is_too_fast=speed > robot.velocity_limits[index] * (1.0 + _ROUNDING),
-        is_too_far=np.any(
-            (positions < robot.lower[index] - _ROUNDING)
-            | (positions > robot.upper[index] + _ROUNDING),
-            axis=0,
-        ),
+        is_beyond={
+            'effort': np.abs(peak) > robot.effort_limits[index] * (1.0 + _ROUNDING),
+            'speed': speed > robot.velocity_limits[index] * (1.0 + _ROUNDING),
+            'position': too_low | too_high,
+        },
     )
 
 

@@ -26,7 +26,8 @@ trajectory files:
               seconds
   .csv        a row of names, then a row of numbers for each time. Columns: `time` [s]; `<joint>`
               or `<joint>.position` for each joint [rad, m]; optional `<joint>.velocity` and
-              `<joint>.acceleration`; other columns are ignored
+              `<joint>.acceleration`; other columns are ignored. Also joint states as PlotJuggler
+              exports them, or as `ros2 topic echo --csv --full-length` prints them
   a rosbag2   .mcap, .db3 or the folder: the JointTrajectory with the most points"""
 
 LATEST_START = 1e5
@@ -236,7 +237,7 @@ def _short(value: Any) -> str:
 
 
 def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
-    times, columns, others = read_csv(path, joint_names, _QUANTITIES)
+    times, columns, others = read_csv(path, joint_names, _QUANTITIES, allow_empty=True)
     names = [*(f'{joint}.{quantity}' for joint, quantity in columns), *others]
     joints = [joint for joint, kind in columns if kind == 'position' and joint in joint_names]
     if not joints:
@@ -249,15 +250,17 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
             raise TrajectoryError(
                 f"joint '{name}' has no position column; expected '{name}' or '{name}.position'"
             )
-    complete = [q for q in _QUANTITIES if all((joint, q) in columns for joint in joints)]
-    arrays: list[Any] = [
-        np.stack([columns[joint, q] for joint in joints], axis=1) if q in complete else None
-        for q in _QUANTITIES
-    ]
-    unused = [f'{j}.{q}' for j, q in columns if j not in joints or q not in complete]
+    arrays: dict[str, Any] = dict.fromkeys(_QUANTITIES)
+    for kind in _QUANTITIES:
+        if all((joint, kind) in columns for joint in joints):
+            arrays[kind] = np.stack([columns[joint, kind] for joint in joints], axis=1)
+    # PlotJuggler also writes a row for each time at which only other topics have values.
+    is_used = np.any(np.isfinite(arrays['position']), axis=1)
+    used: list[Any] = [None if each is None else each[is_used] for each in arrays.values()]
+    unused = [f'{j}.{q}' for j, q in columns if j not in joints or arrays[q] is None]
     unused += others
     notes = (f'columns not used: {", ".join(unused)}',) if unused else ()
-    return LoadedTrajectory(Trajectory(tuple(joints), times, *arrays), notes)
+    return LoadedTrajectory(Trajectory(tuple(joints), times[is_used], *used), notes)
 
 
 # ---- rosbag2 -------------------------------------------------------------------------------

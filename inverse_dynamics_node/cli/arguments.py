@@ -117,6 +117,11 @@ def add_picture(parser: argparse.ArgumentParser, default: str = '') -> None:
         parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
 
 
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add the option --json."""
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+
+
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
     """Return the path of the picture, or None if --no-picture is given."""
     return None if options.no_picture else options.picture or Path(default)

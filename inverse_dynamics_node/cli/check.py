@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
-from functools import partial
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, SAMPLES, Workspace
+from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, Workspace
 from ..errors import listed
 from ..report.robot_tables import model_tables
 from ..report.tables import (
@@ -17,6 +17,7 @@ from ..report.tables import (
     effort_unit,
     fraction,
     number,
+    percent,
     table,
     warnings_about,
     warnings_as_text,
@@ -25,21 +26,18 @@ from ..report.tables import (
 from ..robot.kinematics import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .console import check_outputs, progress, say, show
-from .pictures.robot import draw_workspace
-from .pictures.style import write_picture
+from .console import print_json, progress, say, show
 
 EPILOG = """\
 examples:
   inverse_dynamics check my_arm.urdf
-  inverse_dynamics check my_arm.urdf --link tool0 --picture arm.png
+  inverse_dynamics check my_arm.urdf --link tool0
   inverse_dynamics check wall_mounted.urdf --gravity 9.81 0 0
   xacro my_arm.urdf.xacro | inverse_dynamics check - --strict > report.txt
 
-The command samples poses over the ranges of all joints (at most one turn per joint). From the
-samples with the largest gravity efforts, a local search finds poses with even larger efforts. The
-payload is a point mass at the origin of --link, and the robot holds it at rest. Moving the payload
-takes larger efforts: see `inverse_dynamics effort`.
+The search for the largest gravity effort of each joint starts from random poses in the ranges of
+all joints (at most one turn per joint). The payload is a point mass at the origin of --link, and
+the robot holds it at rest. Moving the payload takes larger efforts: see `inverse_dynamics effort`.
 
 exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -59,131 +57,113 @@ def make_parser() -> argparse.ArgumentParser:
     arguments.add_urdf(parser)
     arguments.add_link(parser)
     arguments.add_gravity(parser)
-    arguments.add_picture(parser)
-    parser.add_argument(
-        '--samples',
-        type=_sample_count,
-        default=SAMPLES,
-        metavar='N',
-        help='number of sampled poses, rounded up to a power of two (default: %(default)s)',
-    )
-    arguments.add_force(parser)
+    arguments.add_json(parser)
     arguments.add_strict(parser, 'there are warnings')
     return parser
 
 
-def _sample_count(text: str) -> int:
-    if not text.isdecimal() or not 2 <= int(text) <= 2**20:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 2 to {2**20}")
-    return int(text)
-
-
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    check_outputs([options.urdf], {'--picture': options.picture}, options.force)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     warnings = warnings_about(robot)
-    if not robot.joint_names:
-        _show(f'{_usable(warnings)} No joint can move.', model_tables(dynamics), warnings)
-        return arguments.strict_code(options, warnings)
-    link = options.link or last_link(robot)
-    with progress('computing poses') as report:
-        workspace = explore(dynamics, options.samples, progress=report)
-        payload = payload_capacity(dynamics, workspace, link)
-    warnings += beyond_limits(workspace)
-    tables = [*model_tables(dynamics), workspace_table(workspace, payload)]
-    _show(f'{_usable(warnings)} {verdict(workspace, payload)}', tables, warnings)
-    if options.picture:
-        drawing = partial(draw_workspace, workspace, payload, options.urdf.name)
-        write_picture(drawing, options.picture)
-        print(f'written: {options.picture}')
+    tables = model_tables(dynamics)
+    result: dict[str, Any] = {'robot': robot.name}
+    if robot.joint_names:
+        with progress('computing poses'):
+            workspace = explore(dynamics)
+            payload = payload_capacity(dynamics, workspace, options.link or last_link(robot))
+        warnings += _beyond_limits(workspace)
+        tables.append(_workspace_table(workspace, payload))
+        text = _verdict(workspace, payload)
+        result |= _as_json(workspace, payload)
+    else:
+        text = 'No joint can move.'
+    usable = f'with {counted(len(warnings), "warning")}' if warnings else 'no warnings'
+    if options.json:
+        found = [asdict(warning) for warning in warnings]
+        print_json({**result, 'verdict': f'Usable, {usable}. {text}', 'warnings': found})
+    else:
+        say(f'Usable, {usable}. {text}')
+        print()
+        show(*tables, *([warnings_as_text(warnings)] if warnings else []))
     return arguments.strict_code(options, warnings)
 
 
-def _show(text: str, tables: Iterable[str], warnings: Sequence[ModelWarning]) -> None:
-    say(text)
-    print()
-    show(*tables)
-    if warnings:
-        show(warnings_as_text(warnings))
+def _as_json(workspace: Workspace, payload: PayloadCapacity) -> dict[str, Any]:
+    rows = (workspace.worst, workspace.robot.effort_limits, workspace.poses)
+    names = ('effort', 'limit', 'pose')
+    return {
+        'worst': {
+            joint: dict(zip(names, values, strict=True))
+            for joint, *values in zip(workspace.robot.joint_names, *rows, strict=True)
+        },
+        'payload': {name: getattr(payload, name) for name in ('link', 'mass', 'joint', 'pose')},
+    }
 
 
-def _usable(warnings: Sequence[ModelWarning]) -> str:
-    count = f'with {counted(len(warnings), "warning")}' if warnings else 'no warnings'
-    return f'Usable, {count}.'
-
-
-def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
+def _verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
     """Summarize the gravity efforts and the payload capacity."""
-    ratios = workspace.peaks / workspace.limits  # 0 without a limit
-    if not np.isfinite(workspace.limits).any():
+    robot, ratios = workspace.robot, workspace.ratios
+    if not np.isfinite(robot.effort_limits).any():
         return 'No joint has an effort limit.'
+    most = float(ratios.max())
     # all joints with nearly the largest ratio
-    names = workspace.robot.joint_names
-    top = [name for name, x in zip(names, ratios, strict=True) if x > ratios.max() - 0.005]
-    text = f'Gravity takes at most {ratios.max():.0%} of an effort limit ({listed(top)}).'
-    if ratios.max() > 1.0:
+    top = [name for name, x in zip(robot.joint_names, ratios, strict=True) if x > most - 0.005]
+    text = f'Gravity takes at most {percent(most)} of an effort limit ({listed(top)}).'
+    if most > 1.0:
         return f'{text} In some poses, the robot cannot hold itself.'
     if payload.joint is None:
-        return (
-            f"{text} A payload at link '{payload.link}' loads only joints without effort limits."
-        )
+        loads = 'only joints without effort limits' if payload.loads_joints else 'no joint'
+        return f"{text} A payload at link '{payload.link}' loads {loads}."
     return f"{text} Largest payload at link '{payload.link}': {payload.mass:.3g} kg."
 
 
-def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> str:
+def _workspace_table(workspace: Workspace, payload: PayloadCapacity) -> str:
     """Return a table of gravity efforts, worst poses and the payload capacity."""
-    robot, limits = workspace.robot, workspace.limits
-    places = decimals(workspace.efforts)
-    rows: list[tuple[str, ...]] = []
-    for i, name in enumerate(robot.joint_names):
-        efforts = workspace.efforts[:, i]
-        worst = float(efforts[workspace.worst[i]])
-        median = np.median(np.abs(efforts[workspace.sampled]))
-        rows.append(
-            (
-                name,
-                f'{round(worst, places) + 0.0:.{places}f} {effort_unit(robot, i)}',
-                f'{median:.{places}f}',
-                number(limits[i]),
-                fraction(worst, limits[i]),
-                'beyond its limit' if abs(worst) > limits[i] else '',
-                _short_pose(workspace.poses[workspace.worst[i]]),
-            )
+    robot = workspace.robot
+    places = decimals(workspace.worst)
+    rows = [
+        (
+            name,
+            f'{round(worst, places) + 0.0:.{places}f} {effort_unit(robot, i)}',
+            number(limit),
+            fraction(worst, limit),
+            'beyond its limit' if abs(worst) > limit else '',
+            ' '.join(f'{round(x, 2) + 0.0:g}' for x in workspace.poses[i].tolist()),
         )
-    columns = ['joint', 'worst', 'median', 'limit', 'ratio', '', 'worst pose [rad, m]']
+        for i, (name, worst, limit) in enumerate(
+            zip(robot.joint_names, workspace.worst.tolist(), robot.effort_limits, strict=True)
+        )
+    ]
+    columns = ('joint', 'worst', 'limit', 'ratio', '', 'worst pose [rad, m]')
     hardest = workspace.hardest
-    worst_pose = workspace.poses[workspace.worst[hardest]]
-    notes: tuple[str, ...] = (
-        f'Worst pose for {robot.joint_names[hardest]}: {pose_in_words(robot, worst_pose)}.',
-        payload_in_words(robot, payload),
+    notes = (
+        f'Worst pose for {robot.joint_names[hardest]}: '
+        f'{_pose_in_words(robot, workspace.poses[hardest])}.',
+        _payload_in_words(robot, payload),
     )
-    if workspace.is_search_shortened:
-        notes += (
-            'With this many joints, the search for the worst poses is shortened, so other poses '
-            'may take more effort.',
-        )
-    widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
-    if sum(width + 2 for width in widths if width) > WIDTH:
-        columns, rows = columns[:-1], [row[:-1] for row in rows]
-    count = len(workspace.poses) - len(rows)
-    title = f'Efforts that hold the robot, in {count} sampled poses and the worst poses near them'
-    return table(title, columns, rows, notes, [5, 6])
+    title, words = 'Efforts that hold the robot, in the worst pose of each joint', (4, 5)
+    text = table(title, columns, rows, notes, words)
+    if max(map(len, text.splitlines())) <= WIDTH:
+        return text
+    return table(title, columns[:-1], [row[:-1] for row in rows], notes, words)
 
 
-def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
+def _payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
     """Describe the largest payload that the robot can hold, and the limiting joint."""
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:
-        return f'Largest payload {where}: unlimited, because no loaded joint has an effort limit.'
-    at = f'{payload.joint} reaches its limit first (pose: {pose_in_words(robot, payload.pose)})'
+        no_limit = 'no loaded joint has an effort limit'
+        reason = no_limit if payload.loads_joints else 'it loads no joint'
+        return f'Largest payload {where}: unlimited, because {reason}.'
+    at = f'{payload.joint} reaches its limit first (pose: {_pose_in_words(robot, payload.pose)})'
     if payload.mass == 0.0:
         return f'Largest payload {where}: none, because gravity alone exceeds a limit; {at}.'
     return f'In every pose, the robot can hold up to {payload.mass:.3g} kg {where}; {at}.'
 
 
-def pose_in_words(robot: RobotModel, pose: Floats) -> str:
+def _pose_in_words(robot: RobotModel, pose: Floats) -> str:
     """List the joint positions that are farthest from zero."""
     units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
@@ -196,7 +176,7 @@ def pose_in_words(robot: RobotModel, pose: Floats) -> str:
     return ', '.join(shown) + (f', {rest} more not listed' if rest else '') + ', the others 0'
 
 
-def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
+def _beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
     """Return warnings about joints that cannot hold the robot in some poses."""
     hint = (
         'check the masses and the limit; if they are right, the arm falls in such poses unless '
@@ -204,16 +184,10 @@ def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
     )
     return tuple(
         ModelWarning(
-            f'gravity takes {peak / limit:.0%} of the effort limit in the worst pose',
+            f'gravity takes {percent(ratio)} of the effort limit in the worst pose',
             hint,
             f"joint '{name}'",
         )
-        for name, peak, limit in zip(
-            workspace.robot.joint_names, workspace.peaks, workspace.limits, strict=True
-        )
-        if peak > limit
+        for name, ratio in zip(workspace.robot.joint_names, workspace.ratios, strict=True)
+        if ratio > 1.0
     )
-
-
-def _short_pose(pose: Floats) -> str:
-    return ' '.join(f'{round(float(x), 2) + 0.0:g}' for x in pose)

@@ -9,14 +9,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+import json
+import math
 import os
 from pathlib import Path
 import secrets
 import signal
 import sys
+from typing import Any
 
 from ..analysis.recordings.files import BAG_SUFFIXES
-from ..errors import escaped, InverseDynamicsError
+from ..errors import escaped, InverseDynamicsError, plain
 from ..report.tables import wrapped
 
 PICTURE_SUFFIXES = ('.png', '.svg', '.pdf')
@@ -31,6 +34,20 @@ def show(*texts: str) -> None:
 def say(text: str) -> None:
     """Print one paragraph."""
     print('\n'.join(wrapped(text)))
+
+
+def print_json(result: Any) -> None:
+    """Print a result as JSON; numbers that are not finite become null."""
+    print(json.dumps(_finite(result), indent=2))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    value = plain(value)
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextmanager

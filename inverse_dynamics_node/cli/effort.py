@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from functools import partial
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ..analysis.trajectory_files import (
     read_trajectory,
     write_table,
 )
-from ..dynamics.trajectory import complete, refine, Trajectory
+from ..dynamics.trajectory import complete, refine
 from ..errors import listed
 from ..report.tables import (
     counted,
@@ -25,14 +25,15 @@ from ..report.tables import (
     effort_unit,
     fraction,
     number,
+    percent,
     table,
     warnings_as_text,
 )
 from ..robot.limit_checks import position_warnings
-from ..robot.model import ModelWarning, RobotModel
+from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .console import check_outputs, new_file, progress, say, show
-from .pictures.robot import draw_requirements
+from .console import check_outputs, new_file, print_json, progress, say, show
+from .pictures.effort import draw_requirements
 from .pictures.style import try_to_draw
 
 EPILOG = f"""\
@@ -87,6 +88,7 @@ def make_parser() -> argparse.ArgumentParser:
         '--csv',
         'the efforts over time (default: <name of the trajectory>_efforts.csv)',
     )
+    arguments.add_json(parser)
     arguments.add_picture(parser, '<name of the trajectory>_efforts.png')
     arguments.add_force(parser)
     return parser
@@ -95,15 +97,9 @@ def make_parser() -> argparse.ArgumentParser:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     stem = f'{options.trajectory.stem}_efforts'
-    table = options.csv or Path(f'{stem}.csv')
-    check_outputs(
-        [options.urdf, options.trajectory],
-        {
-            '--csv': table,
-            '--picture': arguments.picture_or(options, f'{stem}.png'),
-        },
-        options.force,
-    )
+    csv, picture = options.csv or Path(f'{stem}.csv'), arguments.picture_or(options, f'{stem}.png')
+    inputs = [options.urdf, options.trajectory]
+    check_outputs(inputs, {'--csv': csv, '--picture': picture}, options.force)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     load = arguments.attach_payload(dynamics, options)
@@ -113,43 +109,52 @@ def run(options: argparse.Namespace) -> int:
         source = read_trajectory(options.trajectory, robot.joint_names, report)
     whole, derived = complete(source.trajectory)
     fine, _ = refine(whole, 1.0 / options.rate if options.rate else math.inf)
-    others = np.clip(0.0, *joint_ranges(robot))
-    requirements = effort_requirements(dynamics, fine, others)
-    show(
-        _summary(options, load, source, derived, fine),
-        *requirement_tables(robot, fine, requirements),
-    )
+    requirements = effort_requirements(dynamics, fine, np.clip(0.0, *joint_ranges(robot)))
     warnings = (
         *position_warnings(robot, fine.positions, fine.joint_names),
-        *_peak_warnings(fine, requirements),
+        *_far_beyond(requirements),
     )
-    if warnings:
-        show(warnings_as_text(warnings))
+    notes = ('; '.join(filter(None, (load, _friction_note(options)))), *source.notes, *derived)
+    if options.json:
+        print_json(_as_json(requirements, [*map(str, warnings)], notes))
+    else:
+        summary = _summary(options, source, notes, requirements)
+        show(summary, *_tables(robot, requirements))
+        if warnings:
+            show(warnings_as_text(warnings))
 
-    written = [table]
-    with new_file(table) as temporary:
+    written = [csv]
+    with new_file(csv) as temporary:
         write_table(temporary, fine, requirements.efforts)
     title = f'{robot.name}: efforts along {options.trajectory.name}\n{load}'
-    drawing = partial(draw_requirements, robot, fine, requirements, title)
+    drawing = partial(draw_requirements, robot, requirements, title)
     if path := try_to_draw(drawing, options, f'{stem}.png'):
         written.append(path)
-    print('\n'.join(f'written: {path}' for path in written))
-    print()
-    say(verdict(requirements, fine.joint_names))
+    if not options.json:
+        print('\n'.join(f'written: {path}' for path in written))
+        print()
+        say(_verdict(requirements))
     return 0
 
 
-def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
+def _friction_note(options: argparse.Namespace) -> str:
+    return 'with the friction of the URDF' if options.friction else 'without friction'
+
+
+def _ratios(requirements: EffortRequirements) -> dict[str, Floats]:
+    """Return the ratios of the largest efforts and speeds to their limits, each of shape (m,)."""
+    return {
+        'effort': np.abs(requirements.peak) / requirements.effort_limits,
+        'speed': requirements.speed / requirements.velocity_limits,
+    }
+
+
+def _verdict(requirements: EffortRequirements) -> str:
     """State whether the motion stays within the limits."""
-    quantities = (
-        ('effort', np.abs(requirements.peak) / requirements.effort_limits),
-        ('speed', requirements.speed / requirements.velocity_limits),
-    )
-    is_far = requirements.is_too_far
-    is_beyond = requirements.is_too_strong | requirements.is_too_fast | is_far
+    names, is_far = requirements.trajectory.joint_names, requirements.is_beyond['position']
     parts = [
-        f'up to {ratios.max():.0%} of the {what} limit of {names[int(np.argmax(ratios))]}'
-        for what, ratios in quantities
+        f'up to {percent(ratios.max())} of the {what} limit of {names[int(np.argmax(ratios))]}'
+        for what, ratios in _ratios(requirements).items()
         if ratios.max() > 0.0
     ]
     if is_far.any():
@@ -157,58 +162,69 @@ def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
         parts.append(f'{listed(far)} outside the position limits')
     if not parts:
         return 'No limit of effort or speed is known.'
-    does = 'exceeds limits' if is_beyond.any() else 'stays within the known limits'
+    is_beyond = any(np.any(each) for each in requirements.is_beyond.values())
+    does = 'exceeds limits' if is_beyond else 'stays within the known limits'
     return f'The motion {does}: {", ".join(parts)}.'
+
+
+def _as_json(
+    requirements: EffortRequirements, warnings: list[str], notes: tuple[str, ...]
+) -> dict[str, Any]:
+    names = requirements.trajectory.joint_names
+    fields = ('peak', 'peak_time', 'rms', 'effort_limits', 'speed', 'velocity_limits', 'power',
+              'braking')  # fmt: skip
+    beyond = requirements.is_beyond
+    return {
+        'verdict': _verdict(requirements),
+        'joints': {
+            name: {field: getattr(requirements, field)[k] for field in fields}
+            | {'beyond': [what for what, joints in beyond.items() if joints[k]]}
+            for k, name in enumerate(names)
+        },
+        'warnings': warnings,
+        'notes': notes,
+    }
 
 
 def _summary(
     options: argparse.Namespace,
-    load: str,
     source: LoadedTrajectory,
-    derived: tuple[str, ...],
-    fine: Trajectory,
+    notes: tuple[str, ...],
+    requirements: EffortRequirements,
 ) -> str:
-    found = source.trajectory
-    duration = fine.times[-1] - fine.times[0]
+    found, times = source.trajectory, requirements.trajectory.times
     joints = counted(len(found.joint_names), 'joint')
-    count = f'{counted(len(found.times), "point")} in {duration:.3g} s, {joints}'
-    if len(fine.times) > len(found.times):
-        count += f'; evaluated at {len(fine.times)} states'
-    friction = 'with the friction of the URDF' if options.friction else 'without friction'
-    notes = (count, '; '.join(filter(None, (load, friction))), *source.notes, *derived)
-    return table(f'trajectory {options.trajectory}', notes=notes)
+    count = f'{counted(len(found.times), "point")} in {times[-1] - times[0]:.3g} s, {joints}'
+    if len(times) > len(found.times):
+        count += f'; evaluated at {len(times)} states'
+    return table(f'trajectory {options.trajectory}', notes=(count, *notes))
 
 
-def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
+def _far_beyond(requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
     """Return warnings about efforts and speeds that are far beyond the limits."""
     found = []
-    hint = 'check the units: positions in rad or m, times in s'
-    for k, name in enumerate(fine.joint_names):
-        ratios = (
-            ('effort', abs(float(requirements.peak[k])) / float(requirements.effort_limits[k])),
-            ('speed', float(requirements.speed[k]) / float(requirements.velocity_limits[k])),
-        )
+    for k, name in enumerate(requirements.trajectory.joint_names):
         beyond = [
-            f'the {what} is {ratio:.3g} times its limit'
-            for what, ratio in ratios
-            if ratio > _FAR_BEYOND
+            f'the {what} is {ratios[k]:.3g} times its limit'
+            for what, ratios in _ratios(requirements).items()
+            if ratios[k] > _FAR_BEYOND
         ]
         if beyond:
-            text = ' and '.join(beyond)
-            found.append(ModelWarning(text, hint, name))
+            hint = 'check the units: positions in rad or m, times in s'
+            found.append(ModelWarning(' and '.join(beyond), hint, name))
     return tuple(found)
 
 
-def requirement_tables(
-    robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
-) -> list[str]:
+def _tables(robot: RobotModel, requirements: EffortRequirements) -> list[str]:
     """Return a table of peaks and limits, and a table of the terms of the efforts."""
-    index = robot.joint_indices(fine.joint_names)
+    names = requirements.trajectory.joint_names
     places = decimals(requirements.peak)
     rows, parts = [], []
-    for k, (name, i) in enumerate(zip(fine.joint_names, index, strict=True)):
+    for k, (name, i) in enumerate(zip(names, robot.joint_indices(names), strict=True)):
         unit = effort_unit(robot, i)
         speed_unit = 'm/s  ' if robot.is_prismatic_joint[i] else 'rad/s'
+        power = float(requirements.power[k])
+        beyond = [what for what, joints in requirements.is_beyond.items() if joints[k]]
         rows.append(
             (
                 name,
@@ -219,49 +235,18 @@ def requirement_tables(
                 f'{requirements.rms[k]:.{places}f}',
                 f'{requirements.speed[k]:.3g} {speed_unit}',
                 number(requirements.velocity_limits[k]),
-                f'{_power(requirements.power[k])} W',
-                _marks(requirements, k),
+                f'{power:.3g} W' if power >= 0.005 else '0 W',
+                f'beyond: {", ".join(beyond)}' if beyond else '',
             )
         )
-        parts.append(
-            (
-                name,
-                *(f'{requirements.rms_terms[t, k]:.{places}f}' for t in range(len(_TERMS))),
-                f'{requirements.rms[k]:.{places}f} {unit}',
-            )
-        )
+        rms = (f'{requirements.rms_terms[t, k]:.{places}f}' for t in range(len(_TERMS)))
+        parts.append((name, *rms, f'{requirements.rms[k]:.{places}f} {unit}'))
     columns = ('joint', 'peak effort', 'at', 'limit', 'ratio', 'RMS', 'speed', 'limit', 'power')
-    notes = (
-        (f'when braking, a joint absorbs up to {np.max(requirements.braking):.3g} W',)
-        if np.max(requirements.braking) > 0.0
-        else ()
-    )
+    braking = float(np.max(requirements.braking))
+    notes = (f'when braking, a joint absorbs up to {braking:.3g} W',) if braking > 0.0 else ()
+    terms = ('joint', *_TERMS, 'total')
+    note = 'the velocity term contains the Coriolis and centrifugal efforts'
     return [
-        table(
-            'Peaks compared with the limits',
-            (*columns, ''),
-            rows,
-            notes,
-            [9],
-        ),
-        table(
-            'Terms of the efforts (RMS)',
-            ('joint', *_TERMS, 'total'),
-            parts,
-            ('the velocity term contains the Coriolis and centrifugal efforts',),
-        ),
+        table('Peaks compared with the limits', (*columns, ''), rows, notes, [9]),
+        table('Terms of the efforts (RMS)', terms, parts, [note]),
     ]
-
-
-def _power(value: float) -> str:
-    return f'{value:.3g}' if value >= 0.005 else '0'
-
-
-def _marks(requirements: EffortRequirements, k: int) -> str:
-    marks = (
-        (requirements.is_too_strong[k], 'effort'),
-        (requirements.is_too_fast[k], 'speed'),
-        (requirements.is_too_far[k], 'position'),
-    )
-    beyond = [name for is_beyond, name in marks if is_beyond]
-    return f'beyond: {", ".join(beyond)}' if beyond else ''

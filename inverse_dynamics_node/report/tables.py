@@ -111,7 +111,12 @@ def number(value: float) -> str:
 
 def fraction(effort: float, limit: float) -> str:
     """Write an effort as a percentage of its limit, or a dash if the limit is infinite."""
-    return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
+    return percent(abs(effort) / limit) if math.isfinite(limit) else '-'
+
+
+def percent(ratio: float) -> str:
+    """Write a ratio as a percentage, with a decimal if it is almost 1."""
+    return f'{ratio:.1%}' if 0.0 < abs(ratio - 1.0) < 0.005 else f'{ratio:.0%}'
 
 
 def decimals(values: Floats) -> int:

@@ -52,7 +52,7 @@ def test_a_bad_description_is_rejected_as_shown_in_the_gallery(tmp_path, monkeyp
 
 def test_the_gallery_shows_the_pictures_of_all_commands():
     names = re.findall(r'\]\(images/(\w+\.png)\)', GALLERY)
-    assert {'check.png', 'effort.png', 'compare.png'} <= set(names)
+    assert {'effort.png', 'compare.png'} <= set(names)
 
 
 def commands_of(page):

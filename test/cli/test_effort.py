@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+import json
 from pathlib import Path
 import re
 import textwrap
@@ -174,18 +175,33 @@ def test_draws_one_joint(tmp_path, write, size_of):
     assert 300 <= height <= 2200
 
 
-@pytest.mark.parametrize(
-    ('options', 'code', 'words'),
-    [
-        (['--payload', 'heavy'], 2, "--payload: 'heavy' is neither MASS nor MASS,X,Y,Z"),
-        (['--payload', '1,2'], 2, "--payload: '1,2' is neither MASS nor MASS,X,Y,Z"),
-        (['--rate', '-1'], 2, "--rate: '-1' is not a rate from 0 to 100000 Hz"),
-        (['--link', 'tool9', '--payload', '1'], 1, "link 'tool9' does not exist"),
-        (['--payload', '-1'], 1, 'mass is -1'),
-    ],
-)
+def test_the_result_is_also_json(tmp_path, write, capsys):
+    fast = MOVE.replace(': 0.5', ': 0.05').replace(': 1}', ': 0.1}')
+    assert effort(write(fast), '--json', '--payload', '2') == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result['verdict'].startswith('The motion exceeds limits: up to ')
+    assert list(result['joints']) == ['joint_2', 'joint_3']
+    joint = result['joints']['joint_2']
+    assert joint['beyond'] == ['effort', 'speed']
+    assert abs(joint['peak']) > joint['effort_limits'] == 100.0
+    assert result['notes'][0] == "payload 2 kg on link 'tool0'; without friction"
+    assert (tmp_path / 'move_efforts.csv').exists()
+
+
+# fmt: off
+OPTIONS = [
+    ('--payload heavy', 2, "--payload: 'heavy' is neither MASS nor MASS,X,Y,Z"),
+    ('--payload 1,2', 2, "--payload: '1,2' is neither MASS nor MASS,X,Y,Z"),
+    ('--rate -1', 2, "--rate: '-1' is not a rate from 0 to 100000 Hz"),
+    ('--link tool9 --payload 1', 1, "link 'tool9' does not exist"),
+    ('--payload -1', 1, 'mass is -1'),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(('options', 'code', 'words'), OPTIONS)
 def test_arguments_are_checked(write, capsys, options, code, words):
-    assert code_of('effort', STANFORD, write(MOVE), *options) == code
+    assert code_of('effort', STANFORD, write(MOVE), *options.split()) == code
     assert words in capsys.readouterr().err
 
 
@@ -212,34 +228,36 @@ def test_derivatives_of_some_points_only_are_not_used(write):
     assert notes == ('velocities are not used, because only 1 of 2 points have them',)
 
 
-@pytest.mark.parametrize(
-    ('text', 'words'),
-    [
-        ('a: [1', 'not valid YAML: while parsing'),
-        (MOVE.replace('points', 'steps'), 'no trajectory, expected joint_names and points'),
-        ('hello', 'no trajectory, expected joint_names and points'),
-        ('', 'no trajectory'),
-        (ECHO.replace('  - 0.4\n', "  - '...'\n"), '--full-length'),
-        (ECHO.replace('  - 0.4\n', ''), 'positions of point 0: expected 2 numbers, got 1'),
-        (ECHO.replace('-1.5', 'up'), 'positions of point 1: could not convert'),
-        (ECHO.replace('sec: 1', 'sec: one'), 'time_from_start of point 1'),
-        (ECHO.replace('points:', "points: '...'\nothers:"), '--full-length'),
-        (MOVE.replace('[joint_2, joint_3]', 'joint_2'), 'expected a list of names'),
-        (MOVE.replace('joint_names', 'names'), 'joint_names is None, expected a list of names'),
-        (MOVE.replace('-1.5, 0.9', '-1.5, [0.9]'), 'positions of point 1 contain a list'),
-        (MOVE.replace(': 0.5', ': 2026-11-22'), "time_from_start of point 1 is '2026-11-22'"),
-        (MOVE.replace(': 0.5', ': !!float x'), "time_from_start of point 1 is 'x'"),
-        (MOVE.replace(': 0.5', ': !!python/object:os.system x'), "of point 1 is 'x'"),
-        (MOVE.replace(': 0.5', ': {sec: [1]}'), 'time_from_start of point 1 is'),
-        (BOMB + MOVE.replace(': 0.5', ': *a11'), r'time_from_start of point 1 is \[\['),
-        (BOMB + 'joint_names: *a11\npoints: []', r'joint_names is \[\['),
-        ('&a [*a]', 'not valid YAML: found unconstructable recursive node'),
-        ('[' * 200_000, 'nesting depth'),
-        ('joint_names: ' + '{a: ' * 50_000, 'nesting depth'),
-        ('- ' * 50_000, 'nesting depth'),
-        ('[' * 900 + ']' * 900, 'nested too deeply'),
-    ],
-)  # fmt: skip
+# fmt: off
+YAML = [
+    ('a: [1', 'not valid YAML: while parsing'),
+    (MOVE.replace('points', 'steps'), 'no trajectory, expected joint_names and points'),
+    ('hello', 'no trajectory, expected joint_names and points'),
+    ('', 'no trajectory'),
+    (ECHO.replace('  - 0.4\n', "  - '...'\n"), '--full-length'),
+    (ECHO.replace('  - 0.4\n', ''), 'positions of point 0: expected 2 numbers, got 1'),
+    (ECHO.replace('-1.5', 'up'), 'positions of point 1: could not convert'),
+    (ECHO.replace('sec: 1', 'sec: one'), 'time_from_start of point 1'),
+    (ECHO.replace('points:', "points: '...'\nothers:"), '--full-length'),
+    (MOVE.replace('[joint_2, joint_3]', 'joint_2'), 'expected a list of names'),
+    (MOVE.replace('joint_names', 'names'), 'joint_names is None, expected a list of names'),
+    (MOVE.replace('-1.5, 0.9', '-1.5, [0.9]'), 'positions of point 1 contain a list'),
+    (MOVE.replace(': 0.5', ': 2026-11-22'), "time_from_start of point 1 is '2026-11-22'"),
+    (MOVE.replace(': 0.5', ': !!float x'), "time_from_start of point 1 is 'x'"),
+    (MOVE.replace(': 0.5', ': !!python/object:os.system x'), "of point 1 is 'x'"),
+    (MOVE.replace(': 0.5', ': {sec: [1]}'), 'time_from_start of point 1 is'),
+    (BOMB + MOVE.replace(': 0.5', ': *a11'), r'time_from_start of point 1 is \[\['),
+    (BOMB + 'joint_names: *a11\npoints: []', r'joint_names is \[\['),
+    ('&a [*a]', 'not valid YAML: found unconstructable recursive node'),
+    ('[' * 200_000, 'nesting depth'),
+    ('joint_names: ' + '{a: ' * 50_000, 'nesting depth'),
+    ('- ' * 50_000, 'nesting depth'),
+    ('[' * 900 + ']' * 900, 'nested too deeply'),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(('text', 'words'), YAML)
 def test_invalid_yaml_is_rejected(write, text, words):
     path = write(text)
     with pytest.raises(TrajectoryError, match=words) as error:
@@ -247,15 +265,6 @@ def test_invalid_yaml_is_rejected(write, text, words):
     assert str(path) in str(error.value)
     assert len(str(error.value)) < 400
     assert '\n' not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ('time', 'words'),
-    [('1700000000', r'3.4e\+11 states are too many'), ('1' * 400, 'one of the times is inf')],
-)
-def test_times_that_lead_to_no_result_are_an_error(write, capsys, time, words):
-    assert effort(write(MOVE.replace(': 1}', f': {time}}}'))) == 1
-    assert re.search(words, capsys.readouterr().err)
 
 
 def test_a_huge_file_is_refused(write, monkeypatch):
@@ -305,40 +314,83 @@ def test_reads_columns_with_the_suffix_position(write):
     assert notes == ('columns not used: joint_1.effort',)
 
 
+PLOTJUGGLER = """\
+__time,/imu/x,/joint_states/joint_3/effort,/joint_states/joint_3/position,/joint_states/joint_1/position
+1700000000.5,,7,1,2
+1700000000.6,0.1,,,
+1700000001.5,,8,3,4
+"""
+ECHOED = """\
+1700000000,500000000,,joint_3,joint_1,1.0,2.0,0.5,0.25,
+1700000001,500000000,,joint_3,joint_1,3.0,4.0,0.5,0.25,
+"""
+
+
 @pytest.mark.parametrize(
-    ('text', 'words'),
+    ('text', 'unused'),
     [
-        ('', 'no rows'),
-        (
-            't,joint_1\n0,1\n',
-            "no column 'time'; the columns are t, joint_1; expected 'time' .s. and, for each "
-            "joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.acceleration'; "
-            'the joints are joint_1, ',
-        ),
-        ('time;joint_1\n0;1\n', "separated by ';', expected ','; the columns are time, joint_1;"),
-        ('time\tjoint_1\n0\t1\n', "separated by tabs, expected ','; the columns are time, "),
-        (
-            'time,elbow\n0,1\n',
-            'no column contains positions of a joint of this robot; the columns are time, elbow',
-        ),
-        ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no position column"),
-        ('time,joint_1,joint_1\n0,1,2\n', "two columns contain the position of joint 'joint_1'"),
-        ('time,joint_1,time\n0,1,0\n', "has 2 columns 'time', expected one"),
-        ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, but the header has 2 columns'),
-        ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
+        (PLOTJUGGLER, '/imu/x'),
+        (PLOTJUGGLER.replace('/joint_3/', '/robot/joint_3/'), '/imu/x'),
+        (ECHOED, ''),
+        (ECHOED.replace('0.5,0.25,\n', ',7.0,8.0\n'), ''),
     ],
 )
+def test_reads_exports_of_plotjuggler_and_of_ros2_topic_echo(write, text, unused):
+    trajectory, notes = read(write(text, 'a.csv'))
+    assert trajectory.joint_names == ('joint_3', 'joint_1')
+    assert trajectory.positions.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert trajectory.times == pytest.approx([0.0, 1.0])
+    assert (trajectory.velocities is not None) == (',0.5,0.25,' in text)
+    assert 'first point, which was at 1700000000.500 s' in notes[-1]
+    assert unused in notes[0]
+
+
+# fmt: off
+CSV = [
+    ('', 'no rows'),
+    ('t,joint_1\n0,1\n',
+     "no column 'time'; the columns are t, joint_1; expected 'time' .s. and, for each "
+     "joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.acceleration'; "
+     'the joints are joint_1, '),
+    ('time;joint_1\n0;1\n', "separated by ';', expected ','; the columns are time, joint_1;"),
+    ('time\tjoint_1\n0\t1\n', "separated by tabs, expected ','; the columns are time, "),
+    ('time,elbow\n0,1\n',
+     'no column contains positions of a joint of this robot; the columns are time, elbow'),
+    ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no position column"),
+    ('time,joint_1,joint_1\n0,1,2\n', "two columns contain the position of joint 'joint_1'"),
+    ('time,joint_1,time\n0,1,0\n', "has 2 columns 'time', expected one"),
+    ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, but the header has 2 columns'),
+    ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
+    ('0,1\n', "line 1 is neither a header with the column 'time' nor a JointState of `ros2"),
+    (ECHOED.replace('3.0,4.0', '3.0'), 'line 2 is neither a header with'),
+    (ECHOED.replace('3.0,4.0', '3.0,...'), "line 2, column 'joint_1.position': '...' is"),
+    (ECHOED.replace('joint_1,3.0', 'hand,3.0'), 'line 2 has other joints or values than the fir'),
+    (ECHOED.replace('4.0,0.5,0.25', '4.0,'), 'line 2 has other joints or values'),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(('text', 'words'), CSV)
 def test_invalid_csv_is_rejected(write, text, words):
     with pytest.raises(TrajectoryError, match=words):
         read(write(text, 'a.csv'))
 
 
-def test_empty_or_backward_trajectories_are_rejected(write, capsys):
-    assert main(['effort', str(STANFORD), str(write('time,joint_1\n', 'a.csv'))]) == 1
-    assert 'no points' in capsys.readouterr().err
-    text = 'time,joint_1\n1,0\n0,0\n'
-    assert main(['effort', str(STANFORD), str(write(text, 'a.csv'))]) == 1
-    assert 'expected a time' in capsys.readouterr().err
+# fmt: off
+MOTIONS = [
+    ('time,joint_1\n', 'no points'),
+    ('time,joint_1\n1,0\n0,0\n', 'expected a time'),
+    ('time,joint_1,joint_2\n0,0,0\n1,,0\n', "positions of joint 'joint_1' are nan at point 1"),
+    ('time,joint_1\n0,0\n1700000000,0\n', '3.4e+11 states are too many'),
+    (f'time,joint_1\n0,0\n{"1" * 400},0\n', 'one of the times is inf'),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(('text', 'words'), MOTIONS)
+def test_impossible_motions_are_rejected(write, capsys, text, words):
+    assert effort(write(text, 'a.csv')) == 1
+    assert words in capsys.readouterr().err
 
 
 # ---- Recordings ----------------------------------------------------------------------------

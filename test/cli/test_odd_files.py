@@ -1,6 +1,5 @@
 """Hostile and odd inputs lead to one clear line, or to a result in reasonable time."""
 
-from inverse_dynamics_node.analysis import sizing
 from inverse_dynamics_node.analysis.trajectory_files import write_trajectory
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.dynamics import trajectory
@@ -78,12 +77,3 @@ def test_a_fit_without_a_solution_is_one_line(here, capsys, monkeypatch):
     error = capsys.readouterr().err
     assert 'contain too little information: the fit has no solution (Singular' in error
     assert error.count('\n') == 1
-
-
-def test_many_joints_shorten_the_search_of_check(here, capsys, monkeypatch):
-    assert main(['check', str(STANFORD), '--samples', '64']) == 0
-    thorough = capsys.readouterr().out
-    assert 'With this many joints' not in thorough
-    monkeypatch.setattr(sizing, '_MOST_BODIES', 2000.0)
-    assert main(['check', str(STANFORD), '--samples', '64']) == 0
-    assert 'With this many joints' in capsys.readouterr().out

@@ -37,7 +37,6 @@ def contents(folder):
 @pytest.mark.parametrize(
     ('command', 'option', 'name'),
     [
-        ('check arm.urdf', '--picture', 'arm_link.png'),
         ('effort arm.urdf move.csv', '--csv', 'move.csv'),
         ('effort arm.urdf move.csv', '--picture', 'move_link.png'),
         ('compare arm.urdf bag', '--parameters', 'bag/bag_0.mcap'),
@@ -86,7 +85,7 @@ def test_two_outputs_with_one_name_are_refused(here, capsys):
 @pytest.mark.parametrize(
     ('command', 'name'),
     [
-        ('check arm.urdf --picture mine.png', 'mine.png'),
+        ('effort arm.urdf move.yaml --picture mine.png', 'mine.png'),
         ('effort arm.urdf move.yaml', 'move_efforts.csv'),
         ('effort arm.urdf move.yaml', 'move_efforts.png'),
         ('compare arm.urdf move.csv', 'move_compare.png'),

@@ -85,31 +85,6 @@ def assert_legible(figure):
             assert not box.padded(-1.0).overlaps(place.padded(-1.0)), (text, other)
 
 
-def test_check_gives_each_joint_a_row_of_its_own_scale(robot, drawn):
-    assert main(['check', 'arm.urdf', '--samples', '64', '--picture', 'arm.png']) == 0
-    (figure,) = drawn
-    assert_legible(figure)
-    title = figure._suptitle.get_text().splitlines()
-    assert title[0].startswith(f'{robot.name} (arm.urdf): ')
-    assert title[1].startswith('largest payload: ')
-    rows, ratios = figure.axes
-    assert len(rows.get_yticks()) == len(robot.joint_names)
-    limits = [text.get_text() for text in ratios.texts]
-    for text, limit in zip(limits, robot.effort_limits, strict=True):
-        assert (f'of {limit:g} ' in text) == np.isfinite(limit)
-        assert ('no limit' in text) == np.isinf(limit)
-    # Every distribution reaches the worst effort of its joint, however small it is.
-    by_row = {}
-    for shape in rows.collections:
-        x, y = np.concatenate([path.vertices for path in shape.get_paths()]).T
-        row = round(np.mean([y.min(), y.max()]))
-        by_row[row] = np.abs(x[y != row]).max()
-    # A vertical axis feels no gravity: nothing is drawn instead of rounding errors.
-    still = [k for k, text in enumerate(limits) if text.startswith('0 ')]
-    assert set(by_row) == set(range(len(limits))) - set(still)
-    assert all(reach > 0.5 for reach in by_row.values())
-
-
 def test_effort_names_joints_file_and_payload(robot, drawn, here):
     write_run(robot, here / 'move.csv')
     arguments = ['effort', 'arm.urdf', 'move.csv', '--payload', '0.25']

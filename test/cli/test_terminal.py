@@ -49,7 +49,7 @@ def test_a_description_cannot_control_the_terminal(here, capsys):
     (here / 'move.yaml').write_text(
         'joint_names: [nope]\npoints: [{positions: [0], time_from_start: 0}]'
     )
-    assert main(['check', urdf, '--samples', '64']) == 0
+    assert main(['check', urdf]) == 0
     assert main(['effort', urdf, 'move.yaml', '--no-picture']) == 1
     output = capsys.readouterr()
     assert r'joint_2\x9b2J\u202e' in output.out
@@ -86,7 +86,7 @@ def test_a_terminal_shows_progress_without_names_that_control_it(here):
     os.close(master)
     assert process.wait(120) == 0
     text = data.decode().replace('\r\x1b[K', '')  # clears the line with the progress
-    assert 'computing poses 100%' in text
+    assert 'computing poses' in text
     assert '\\x9b2J\\u202e' in text
     assert_harmless(text, '\r')
 

@@ -156,9 +156,10 @@ def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
 
     result = run('pip', 'install', '--quiet', f'{wheel}[cli]')
     assert result.returncode == 0, result.stderr
-    result = run('inverse_dynamics', 'check', urdf, '--picture', 'arm.png')
+    result = run('inverse_dynamics', 'check', urdf)
     assert result.stdout.startswith('Usable, no warnings. '), result.stderr
-    assert (tmp_path / 'arm.png').exists()
+    result = run('inverse_dynamics', 'effort', urdf, ROOT / 'doc' / 'stanford_pick.yaml')
+    assert (tmp_path / 'stanford_pick_efforts.png').exists(), result.stderr
     result = run('inverse_dynamics', 'demo', urdf)
     assert result.returncode == 1
     advice = result.stderr.partition("pip install '")[2].partition("'")[0]

@@ -38,7 +38,7 @@ def test_results_match_their_definitions():
     assert requirements.power == pytest.approx(np.max(power, axis=0))
     assert requirements.braking == pytest.approx(-np.min(power, axis=0))
     assert requirements.speed == pytest.approx([np.pi, 2.0 * np.pi])
-    assert requirements.is_too_fast.tolist() == [False, True]
+    assert requirements.is_beyond['speed'].tolist() == [False, True]
     for k in range(2):
         at = np.searchsorted(trajectory.times, requirements.peak_time[k])
         assert efforts[at, k] == requirements.peak[k]
@@ -69,11 +69,9 @@ def test_a_single_point_has_requirements():
 def test_exceeded_limits_are_marked():
     trajectory = Trajectory(('joint_2',), np.array([0.0, 0.1]), np.array([[0.0], [2.5]]))
     requirements = effort_requirements(ARM, refine(complete(trajectory)[0], 0.001)[0])
-    assert requirements.is_too_strong.all()
-    assert requirements.is_too_fast.all()
-    assert requirements.is_too_far.all()
+    assert all(each.all() for each in requirements.is_beyond.values())
     calm = effort_requirements(ARM, complete(trajectory._replace(positions=np.zeros((2, 1))))[0])
-    assert not (calm.is_too_strong | calm.is_too_fast | calm.is_too_far).any()
+    assert not any(each.any() for each in calm.is_beyond.values())
 
 
 def test_refining_keeps_the_points_and_follows_the_curve():

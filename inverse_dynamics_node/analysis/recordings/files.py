@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import csv
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -119,16 +120,25 @@ def read_csv(
     Read a CSV file with a column `time` and columns `<joint>.<quantity>`.
 
     A column `<joint>` contains the first of `quantities`, such as 'position'. Columns of other
-    joints are permitted. With `allow_empty`, empty cells become NaN. Raise RecordingError if the
-    column `time` is missing or if a cell is not a number. Raise OSError if the file cannot be
-    opened.
+    joints are permitted. Files that PlotJuggler exports, and JointState messages as `ros2 topic
+    echo --csv` prints them, are read, too. With `allow_empty`, empty cells become NaN. Raise
+    RecordingError if the column `time` is missing or if a cell is not a number. Raise OSError if
+    the file cannot be opened.
     """
     try:
         with path.open(newline='', encoding='utf-8-sig') as file:
             rows = csv.reader(file)
-            header = [name.strip() for name in next(rows, [])]
-            if not header:
+            filled: Iterator[tuple[int, list[str]]] = (
+                (rows.line_num, row) for row in rows if any(map(str.strip, row))
+            )
+            line, row = next(filled, (1, []))
+            first = [cell.strip() for cell in row]
+            if not first:
                 raise RecordingError(f'{path}: has no rows')
+            if first[0].isdecimal():
+                header, filled = _echoed(path, chain([(line, row)], filled))
+            else:
+                header = [_plain(name, joint_names, quantities) for name in first]
             if 'time' not in header:
                 problem = _missing_time(header, joint_names, quantities)
                 raise RecordingError(f'{path}: {problem}')
@@ -137,9 +147,7 @@ def read_csv(
                     f"{path}: has {header.count('time')} columns 'time', expected one"
                 )
             numbers = [
-                _numbers(f'{path}: line {rows.line_num}', row, header, allow_empty)
-                for row in rows
-                if any(map(str.strip, row))
+                _numbers(f'{path}: line {line}', row, header, allow_empty) for line, row in filled
             ]
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f'{path}: is not a CSV file ({error})') from None
@@ -157,6 +165,68 @@ def read_csv(
         else:
             columns[joint, quantity] = values[:, k]
     return CsvRecording(values[:, header.index('time')], columns, tuple(others))
+
+
+def _plain(name: str, joint_names: Sequence[str], quantities: Sequence[str]) -> str:
+    """Convert a name of PlotJuggler, such as `/joint_states/<joint>/position`."""
+    if name == '__time':
+        return 'time'
+    rest, _, quantity = name.rpartition('/')
+    if quantity not in quantities:
+        return name
+    known = (joint for joint in joint_names if f'/{rest}'.endswith(f'/{joint}'))
+    return f'{next(known, rest.rpartition("/")[2])}.{quantity}'
+
+
+def _echoed(
+    path: Path, rows: Iterator[tuple[int, list[str]]]
+) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """
+    Convert JointState messages as `ros2 topic echo --csv` prints them; return header and rows.
+
+    A row contains the stamp, the frame, the names, and all positions, velocities and efforts. An
+    empty list is one empty cell.
+    """
+
+    def converted() -> Iterator[tuple[list[str], list[str], int]]:
+        for line, row in rows:
+            names = list(takewhile(_is_name, row[3:]))
+            header, cells, rest = ['time'], [''], row[3 + len(names) :]
+            for quantity in ('position', 'velocity', 'effort'):
+                count = 0 if rest[:1] == [''] else len(names)
+                header += [f'{name}.{quantity}' for name in names[:count]]
+                cells, rest = cells + rest[:count], rest[max(1, count) :]
+            if not names or rest or len(cells) != len(header):
+                raise RecordingError(
+                    f"{path}: line {line} is neither a header with the column 'time' nor a "
+                    'JointState of `ros2 topic echo --csv --full-length`'
+                )
+            cells[0] = f'{row[0]}.{row[1]:0>9}'
+            yield header, cells, line
+
+    messages = converted()
+    header, cells, line = next(messages)
+
+    def same_columns() -> Iterator[tuple[int, list[str]]]:
+        yield line, cells
+        for other, row, number in messages:
+            if other != header:
+                raise RecordingError(
+                    f'{path}: line {number} has other joints or values than the first line; '
+                    'record the messages of one publisher'
+                )
+            yield number, row
+
+    return header, same_columns()
+
+
+def _is_name(cell: str) -> bool:
+    """Return whether a cell contains neither a number nor nothing."""
+    try:
+        float(cell)
+    except ValueError:
+        return cell.strip() not in ('', '...')
+    return False
 
 
 def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -> list[float]:
