@@ -11,6 +11,7 @@ compared with the best of 1000 random motions within the same limits.
 from __future__ import annotations
 
 import argparse
+import itertools
 from pathlib import Path
 import time
 
@@ -41,15 +42,15 @@ def collisions_of_pinocchio(path: Path, q: np.ndarray, joints: tuple, unchecked:
     folders = [str(folder) for folder in path.parents]
     kind = pin.GeometryType.COLLISION
     shapes = pin.buildGeomFromUrdf(model, str(path), kind, package_dirs=folders)
-    shapes.addAllCollisionPairs()
-    for pair in list(shapes.collisionPairs):
-        objects = [shapes.geometryObjects[k] for k in (pair.first, pair.second)]
-        links = [model.frames[each.parentFrame].name for each in objects]
-        first, second = (each.parentJoint for each in objects)
-        are_joined = first == second or first == model.parents[second]
-        names = {' and '.join(links), ' and '.join(links[::-1])}
-        if are_joined or second == model.parents[first] or names & set(unchecked):
-            shapes.removeCollisionPair(pair)
+    objects = shapes.geometryObjects
+    links = [model.frames[each.parentFrame].name for each in objects]
+    bodies = [each.parentJoint for each in objects]
+    for i, j in itertools.combinations(range(len(objects)), 2):
+        parents = model.parents[bodies[i]], model.parents[bodies[j]]
+        are_joined = bodies[i] in (bodies[j], parents[1]) or bodies[j] == parents[0]
+        names = {f'{links[i]} and {links[j]}', f'{links[j]} and {links[i]}'}
+        if not are_joined and not names & set(unchecked):
+            shapes.addCollisionPair(pin.CollisionPair(i, j))
     data, geometry = model.createData(), shapes.createData()
     poses = np.tile(pin.neutral(model), (len(q), 1))
     for k, name in enumerate(joints):

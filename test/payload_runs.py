@@ -23,14 +23,22 @@ class Arm:
     with currents, friction also grows with the load on the gears.
     """
 
-    def __init__(self, robot, rng, measures_currents=False):
+    def __init__(self, robot, rng, measures_currents=False, gain_error=0.01):
         self.robot, self.rng = robot, rng
         real = real_robot(robot, rng, load_friction=0.05 if measures_currents else 0.0)
         share = 1.0 if measures_currents else 0.2
         self.real = replace(real, coulomb=share * real.coulomb, damping=share * real.damping)
-        self.gain = 1.0 + 0.01 * rng.normal(size=len(robot.joint_names))
+        self.gain = 1.0 + gain_error * rng.normal(size=len(robot.joint_names))
         self.drift = OFFSET_DRIFT / 60.0 * rng.normal(size=len(robot.joint_names))
         self.clock = 0.0
+
+    def change(self, gains=0.01, friction=0.05):
+        """Change gains and friction at random by these fractions, as between two days."""
+        count = len(self.gain)
+        self.gain = self.gain * (1.0 + gains * self.rng.normal(size=count))
+        factor = 1.0 + friction * self.rng.normal(size=count)
+        coulomb, damping = factor * self.real.coulomb, factor * self.real.damping
+        self.real = replace(self.real, coulomb=coulomb, damping=damping)
 
     def efforts(self, q, qd, qdd, times, load=None):
         """Return measured efforts, without noise."""

@@ -3,11 +3,12 @@ Measures a payload from recordings with and without the payload.
 
 The robot repeats the same motion in a loaded run and in an empty run. The difference between
 their efforts is due to the payload, because friction, offsets and errors in link masses cancel.
-The efforts are linear in the ten inertial parameters of the payload.
+The efforts are linear in the ten inertial parameters of the payload, which a least-squares fit
+determines.
 
-Without an empty run, the inertial parameters of the links are estimated as well. A prior allows
-for the usual errors in robot descriptions. These errors increase the standard errors of the
-payload.
+What does not cancel is unknown too: changes of friction, offsets and gains between the runs, and
+the gains of the measured efforts. The gains have usual errors. The efforts of the empty arm,
+divided by those of its description, show how wrong the gains may be.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
-from ..errors import RecordingError
-from ..robot.model import Booleans, Floats, Integers, RobotModel
+from ..errors import ConfigurationError, RecordingError
+from ..robot.model import Booleans, Floats, RobotModel
 from ..robot.rigid_body import (
     moved_inside,
     PARAMETERS,
@@ -30,7 +31,6 @@ from ..robot.rigid_body import (
     RigidBody,
 )
 from .columns import body_columns, moment_matrices, payload_columns, SECOND_MOMENTS
-from .identification.fit import Prior, weights_of
 from .identification.preparation import measured_joints, prepare_all
 from .recordings.resampling import pieces, Resampler, resampler
 from .recordings.signals import Motion, Recording
@@ -38,24 +38,22 @@ from .recordings.signals import Motion, Recording
 STILL = 0.01  # [rad/s or m/s]; the arm rests while all joints are slower
 LEAST_REST = 0.5  # [s]; shortest rest in a pose
 SETTLING = 0.2  # [s]; removed at both ends of a rest
+RESTS = 1.0 / 3.0  # poses are used if the arm rests for a larger fraction of both runs
 NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between matching states
 LEAST_MATCHED = 0.5  # smallest fraction of the loaded run with a match in the empty run
 WINDOW = 0.15  # [s]; smoothing window
-BLOCKS = 10  # number of contiguous blocks for jackknife estimates
 WIDTH = 0.05  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
-GAIN = 0.01  # relative error of the gain of each measured effort
-GAIN_ALONE = 0.05  # the same without an empty run, when the gain also scales the arm's weight
-LINK_ERROR = 0.15  # relative error of link masses and mass distributions
-APPARENT = 0.25  # [kg]; apparent payload of an empty arm, 0.02 to 1.5 on real arms
-REACH_OF_LINKS = 0.1  # [m]; distance of the apparent payload from the link
+DRIFT = 0.01  # relative change of the gain of each measured effort between the runs
+GAIN = 0.01  # relative error of these gains, if the empty arm agrees with its description
+LINK_ERROR = 0.15  # relative error of the masses and mass distributions of links
 RADIUS = 0.05  # [m]; assumed radius of gyration of a payload
 REACH = 0.5  # [m]; expected distance of the centre of mass from the origin of the link
 MOST_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is unknown
 CERTAIN = 3.0  # a payload is certain if its mass exceeds this many standard errors
-LIGHTEST = 0.1  # [kg]; lower bound of the mass in priors and second moments
+LIGHTEST = 0.1  # [kg]; lower bound of the mass in the expected second moments
+HEAVIEST = 1e3  # [kg]; expected size of the mass
 LEAST_NOISE = 0.05  # lower bound of relative squared residuals, as a fraction of the median
-_SMALLEST = 1e-6  # [kg]
-_ROUNDS, _STEPS = 6, 2
+_ROUNDS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +70,10 @@ class PayloadEstimate:
     """Standard error of each coordinate of the centre of mass, shape (3,) [m]."""
     shows_inertia: bool
     """Whether the inertia was measured; otherwise, the inertia of a ball is assumed."""
+    ratio: float
+    """Efforts of the empty arm divided by those of its description."""
+    ratio_error: float
+    """Standard error of `ratio`; NaN if the measured efforts do not contain gravity."""
     joint_names: tuple[str, ...]
     """The joints with measured efforts."""
     times: Floats
@@ -85,7 +87,7 @@ class PayloadEstimate:
     poses: int
     """Number of poses that were used; 0 if a motion was used instead."""
     matched: float
-    """Fraction of the loaded run that matches the empty run; NaN without an empty run."""
+    """Fraction of the loaded run that matches the empty run."""
 
     @property
     def residuals(self) -> Floats:
@@ -103,88 +105,94 @@ class PayloadEstimate:
         """Whether the mass is clearly above zero."""
         return bool(self.body.mass > CERTAIN * self.mass_error)
 
+    @property
+    def is_scaled(self) -> bool:
+        """Whether the empty arm seems to weigh clearly more or less than its description."""
+        return bool(abs(self.ratio - 1.0) > 2.0 * self.ratio_error)
+
 
 class _Rows(NamedTuple):
-    """Rows of the payload regression."""
+    """One run as rows for m joints."""
 
     times: Floats
     """Times of the rows, shape (rows,) [s]."""
     payload: Floats
-    """Columns of the payload, shape (rows, joints, 10)."""
-    links: Floats
-    """Columns of the links, shape (rows, joints, 10 per link); none if there is an empty run."""
+    """Efforts per unit of the payload's parameters, shape (rows, m, 10)."""
     terms: Floats
-    """Columns of friction and other joint terms, shape (rows, joints, terms)."""
+    """Efforts per unit of offset, drift, armature and friction, shape (rows, m, terms)."""
     arm: Floats
-    """Modelled efforts of the arm, shape (rows, joints); zero if there is an empty run."""
-    target: Floats
-    """Efforts to explain, shape (rows, joints)."""
-    block: Integers
-    """Block index of each row, shape (rows,)."""
+    """Modelled efforts of the empty arm, shape (rows, m)."""
+    efforts: Floats
+    """Measured efforts, shape (rows, m)."""
 
     def where(self, chosen: Booleans) -> _Rows:
         """Return the chosen rows."""
-        return self._replace(**{name: values[chosen] for name, values in self._asdict().items()})
+        return _Rows(*(values[chosen] for values in self))
 
 
 def measure_payload(
     robot: RobotModel,
     loaded: Recording,
-    empty: Recording | None,
+    empty: Recording,
     link: str,
     gravity: Floats | Sequence[float],
+    has_gravity: bool = True,
 ) -> PayloadEstimate:
     """
     Measure the payload on a link from recordings with and without the payload.
 
-    Both recordings must contain the same motion, or the same poses. Without the `empty` recording,
-    a prior allows for the usual errors in link masses, so the standard errors are larger. The
-    robot model must not contain the payload. `gravity` is the free-fall acceleration in the base
-    frame [m/s^2]. Raises RecordingError if a recording is too short, or if the two motions differ.
+    Both recordings must contain the same motion, or the same poses. The robot model must not
+    contain the payload. `gravity` is the free-fall acceleration in the base frame [m/s^2].
+    `has_gravity` says whether the measured efforts contain the weight of the arm. Raises
+    ConfigurationError if the link does not move, and RecordingError if a recording is too short,
+    or if the two motions differ.
 
     """
-    runs = [loaded] if empty is None else [loaded, empty]
-    joints = measured_joints(robot, runs)
-    motions = [run.motion for run in prepare_all(robot, runs, joints)[0]]
+    if not robot.link_body[robot.link_index(link)]:
+        raise ConfigurationError(
+            f"link '{link}' does not move, so no effort shows its payload; choose a link that a "
+            'joint moves'
+        )
+    joints = measured_joints(robot, [loaded, empty])
+    motions = [run.motion for run in prepare_all(robot, [loaded, empty], joints)[0]]
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
     rests = [_rests(motion) for motion in motions]
     is_still = all(
-        sum(each.stop - each.start for each in own) > 0.5 * len(motion.times)
+        sum(each.stop - each.start for each in own) > RESTS * len(motion.times)
         for motion, own in zip(motions, rests, strict=True)
     )
-    smooth = None if is_still else resampler(motions[0], WINDOW)
     if is_still:
         motions = list(map(_poses, motions, rests))
-    partner, is_near, matched = None, np.ones(len(motions[0].times), dtype=bool), math.nan
-    if empty is not None:
-        partner, is_near = _partner(robot, *motions)
-        matched = float(np.mean(is_near))
-    rows = _rows(dynamics, link, joints, motions[0], partner, smooth)
+    smooth = None if is_still else resampler(motions[0], WINDOW)
+    partner, is_near = _partner(robot, *motions)
+    matched = float(np.mean(is_near))
     if smooth is not None:
         is_near = smooth(is_near.astype(float)) > 1.0 - 1e-6
-    rows = rows.where(is_near)
-    prior = _prior_of_links(robot) if empty is None else np.zeros((0, 0))
-    fit = _Fit(rows, prior, GAIN_ALONE if empty is None else GAIN)
-    covariance, _ = fit.covariances()
-    variances = _variance(covariance, fit.x)
-    if empty is None:
-        offset = REACH_OF_LINKS / max(fit.x[0], LIGHTEST)
-        variances += (APPARENT * np.array([1.0, offset, offset, offset])) ** 2
-    errors = np.sqrt(variances)
-    fitted, moments = rows.payload @ _parameters(fit.x), moment_matrices(_parameters(fit.x))
+    with_load, without = (
+        _rows(dynamics, link, joints, motion, smooth).where(is_near)
+        for motion in (motions[0], partner)
+    )
+    gains = _Gains(1.0, math.nan, 0.0, 0.0)
+    if has_gravity:
+        gains = _gains(without, _link_variances(dynamics, joints, partner))
+    fit = _fit(with_load, without, gains)
+    errors = np.sqrt(_variances(fit))
+    fitted, moments = with_load.payload @ fit.x, moment_matrices(fit.x)
     return PayloadEstimate(
         link,
         rigid_body(moved_inside(parameters_of_pseudo_inertias(moments))),
         float(errors[0]),
         errors[1:],
-        _shows_inertia(covariance, fit.x),
+        bool(np.sqrt(np.trace(fit.covariance[4:7, 4:7])) < 0.5 * _second_moment(fit.x)),
+        gains.ratio,
+        gains.error,
         tuple(robot.joint_names[j] for j in joints),
-        rows.times,
-        fitted + fit.residual(),
+        with_load.times,
+        fitted + fit.residual,
         fitted,
-        float(np.ptp(rows.times)),
-        len(rows.times) if is_still else 0,
+        float(np.ptp(with_load.times)),
+        len(with_load.times) if is_still else 0,
         matched,
     )
 
@@ -247,211 +255,160 @@ def _rows(
     dynamics: InverseDynamics,
     link: str,
     joints: Sequence[int],
-    loaded: Motion,
-    empty: Motion | None,
+    run: Motion,
     smooth: Resampler | None,
 ) -> _Rows:
-    """Build the rows of the regression; states at rest are not smoothed."""
-    robot, states = dynamics.robot, (loaded.q, loaded.qd, loaded.qdd)
-    payload = payload_columns(robot, dynamics.gravity, link, states)[:, joints]
-    modelled, load = dynamics.efforts(*states)[:, joints], np.abs(loaded.efforts)
-    target, arm = loaded.efforts - modelled, modelled
-    links = np.zeros((*target.shape, 0))
-    if empty is None:
-        links = body_columns(dynamics, states, _with_mass(robot))[:, joints]
-    else:
-        of_empty = dynamics.efforts(empty.q, empty.qd, empty.qdd)[:, joints]
-        target, arm = target - (empty.efforts - of_empty), np.zeros_like(target)
-        load = load - np.abs(empty.efforts)
-    ones = np.ones_like(target)
+    """Build the rows of a run; states at rest are not smoothed."""
+    states = run.q, run.qd, run.qdd
+    payload = payload_columns(dynamics.robot, dynamics.gravity, link, states)[:, joints]
+    arm, ones = dynamics.efforts(*states)[:, joints], np.ones_like(run.efforts)
     if smooth is None:  # at rest, the offset contains the friction
-        block = np.arange(len(target))
-        return _Rows(loaded.times, payload, links, ones[..., None], arm, target, block)
-    place = (loaded.times - loaded.times[0]) / float(np.ptp(loaded.times))  # 0 to 1
-    speed = loaded.qd[:, joints]
-    direction = np.tanh(speed / WIDTH)
-    continuous = [ones, ones * place[:, None], speed]
-    if empty is None:
-        continuous.append(loaded.qdd[:, joints])
-    terms = [
-        smooth(np.stack(continuous, -1)),
-        smooth.discontinuous(np.stack([direction, load * direction], -1)),
-    ]
+        return _Rows(run.times, payload, ones[..., None], arm, run.efforts)
+    place = (run.times - run.times[0]) / float(np.ptp(run.times))  # 0 to 1
+    direction = np.tanh(run.qd[:, joints] / WIDTH)
+    continuous = [ones, ones * place[:, None], run.qd[:, joints], run.qdd[:, joints]]
+    steps = [direction, np.abs(run.efforts) * direction]
+    terms = smooth(np.stack(continuous, -1)), smooth.discontinuous(np.stack(steps, -1))
     return _Rows(
-        smooth.times,
-        smooth(payload),
-        smooth(links),
-        np.concatenate(terms, -1),
-        smooth(arm),
-        smooth(target),
-        np.minimum(smooth(place) * BLOCKS, BLOCKS - 1).astype(int),
+        smooth.times, smooth(payload), np.concatenate(terms, -1), smooth(arm), smooth(run.efforts)
     )
 
 
-def _with_mass(robot: RobotModel) -> list[int]:
-    return [body for body in range(1, len(robot.mass)) if robot.mass[body] > 0.0]
+# ---- Gains ---------------------------------------------------------------------------------
 
 
-def _prior_of_links(robot: RobotModel) -> Floats:
-    """Return the prior precision matrix for the inertial parameters of the links."""
-    links = [
-        moved_inside(RigidBody(robot.mass[k], robot.com[k], robot.inertia[k]).parameters())
-        for k in _with_mass(robot)
-    ]
-    nominal = np.reshape(links, (-1, PARAMETERS))
-    weights, none = np.full(len(links), LINK_ERROR**-2), np.zeros(0)
-    divergence = Prior(nominal, weights, none.astype(int), none, none)
-    return divergence.derivatives(nominal.ravel())[1]
+class _Gains(NamedTuple):
+    """How wrong the gains of the measured efforts may be."""
+
+    ratio: float
+    """Measured efforts of the empty arm divided by modelled ones, over all joints."""
+    error: float
+    """Standard error of the ratio."""
+    common: float
+    """Relative error of all gains that the errors of the links do not explain."""
+    spread: float
+    """Relative error of single gains that the errors of the links do not explain."""
+
+
+def _gains(empty: _Rows, link_variances: Floats) -> _Gains:
+    """Compare the efforts of the empty arm with the model."""
+    ratios, variances = np.ones((2, len(link_variances)))
+    for j in range(len(ratios)):
+        columns = np.column_stack([empty.arm[:, j], empty.terms[:, j]])
+        products = columns.T @ columns
+        inverse = np.linalg.inv(products + 1e-9 * np.diag(np.diagonal(products) + 1e-12))
+        solution = inverse @ (columns.T @ empty.efforts[:, j])
+        residual = empty.efforts[:, j] - columns @ solution
+        noise = _variance_of_noise(residual, columns.shape[1])
+        ratios[j], variances[j] = solution[0], noise * inverse[0, 0] + link_variances[j]
+    weights = 1.0 / variances / np.sum(1.0 / variances)
+    ratio, variance = float(weights @ ratios), float(1.0 / np.sum(1.0 / variances))
+    common = max((ratio - 1.0) ** 2 - variance, 0.0)
+    spread = max(float(weights @ ((ratios - ratio) ** 2 - variances)), 0.0)
+    return _Gains(ratio, variance**0.5, common**0.5, spread**0.5)
+
+
+def _link_variances(dynamics: InverseDynamics, joints: Sequence[int], run: Motion) -> Floats:
+    """Return the variance of the ratio of each joint due to the usual errors of the links."""
+    robot, states = dynamics.robot, (run.q, run.qd, run.qdd)
+    mass = np.maximum(robot.mass[1:], 1e-9)
+    gyration = np.trace(robot.inertia[1:], axis1=1, axis2=2) / mass
+    size = np.sqrt(np.sum(robot.com[1:] ** 2, axis=1) + 0.5 * gyration)
+    powers = size[:, None] ** np.repeat([0, 1, 2], [1, 3, 6])
+    errors = (LINK_ERROR * mass[:, None] * powers).ravel()
+    columns = body_columns(dynamics, states, range(1, len(robot.mass)))[:, joints]
+    arm = dynamics.efforts(*states)[:, joints]
+    arm = arm - arm.mean(axis=0)  # an offset contains the mean
+    shares = np.einsum('kju,kj->ju', columns, arm) / (np.sum(arm**2, axis=0)[:, None] + 1e-12)
+    return np.asarray(np.sum((shares * errors) ** 2, axis=1))
+
+
+def _variance_of_noise(residual: Floats, unknowns: int) -> float:
+    """Return the variance of residuals times the number of rows that count as one."""
+    lags = np.correlate(residual, residual, 'full')[len(residual) - 1 :]
+    positive = np.cumprod(lags > 0.0) * lags
+    return float(2.0 * positive.sum() - lags[0]) / max(len(residual) - unknowns, 1)
 
 
 # ---- The fit -------------------------------------------------------------------------------
 
 
-class _Fit:
+class _Fit(NamedTuple):
+    """The fitted payload."""
+
+    x: Floats
+    """Mass, first moments and second moments as in `payload_columns`, shape (10,)."""
+    covariance: Floats
+    """Covariance of x, shape (10, 10)."""
+    residual: Floats
+    """Efforts that the fit does not explain, shape (rows, joints)."""
+
+
+def _fit(loaded: _Rows, empty: _Rows, gains: _Gains) -> _Fit:
     """
-    Least-squares fit of payload, links and joints, with a prior for all unknowns.
+    Fit the payload to the difference of the runs.
 
-    The unknowns of the payload are the mass m, the first moment h, and the second moment S about
-    the centre of mass. The efforts are linear in m, h and S + h h^T / m.
-
+    The unknowns are ten parameters of the payload, and for each joint: the change of the gain
+    between the runs, the gain of the payload's efforts, and the terms. The columns of the gains
+    contain the fitted efforts of the round before. The fit assumes good gains. Its covariance
+    includes what the wrong gains that the empty run shows would change.
     """
-
-    def __init__(self, rows: _Rows, prior_of_links: Floats, gain_error: float) -> None:
-        self.rows, self.prior_of_links, self.gain_error = rows, prior_of_links, gain_error
-        count, m, t = rows.terms.shape
-        self.first = PARAMETERS + rows.links.shape[2]
-        self.size = self.first + m * (1 + t)
-        self.joint = np.arange(m)
-        self.gains = self.first + self.joint * (1 + t)
-        own = np.zeros((count, m, m, 1 + t))
-        own[:, self.joint, self.joint, 1:] = rows.terms
-        parts = rows.payload, rows.links, own.reshape(count, m, -1), rows.target[..., None]
-        self.table = np.concatenate(parts, -1)
-        self.x = np.zeros(self.size)
-        self.x[0], self.x[4:7] = 1.0, RADIUS**2
-        residual = rows.target
-        for _ in range(_ROUNDS):
-            self._assemble()
-            self.weights = self._weights(residual)
-            self.x = self._solution()
-            residual = self.residual()
-        self.weights = self._weights(residual)
-        # The spread between blocks reveals slow changes that residuals hide. Each fit without a
-        # block estimates the gains again, so the spread is compared with the variance for unknown
-        # gains. The smaller variance for known gains would make the standard errors too large.
-        ratio = self._between() / _variance(self.covariances()[1], self.x)
-        self.weights = self.weights / max(1.0, float(np.mean(ratio)))
-        self.x = self._solution()
-
-    def _assemble(self) -> None:
-        """Linearise the model in the gains, and build normal equations per block and joint."""
-        rows = self.rows
-        gain = rows.arm + rows.payload @ _parameters(self.x)
-        self.table[:, self.joint, self.gains] = gain
-        parts = (self.table[rows.block == k].swapaxes(0, 1) for k in np.unique(rows.block))
-        self.products = np.array([part.swapaxes(1, 2) @ part for part in parts])
-
-    def _weights(self, residual: Floats) -> Floats:
-        """Return the inverse residual variance of each joint."""
-        if len(self.products) < len(self.rows.times):
-            return weights_of(residual)
-        # With few poses, a joint may fit well by chance, so the variance needs a lower bound. The
-        # bound is relative to the effort, because a common bound exceeded the noise of the wrist.
-        squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
-        size = np.mean(self.rows.target**2, axis=0) + 1e-12
-        least = LEAST_NOISE * np.median(squares / size) * size
-        return np.asarray(1.0 / (squares + least + 1e-12))
-
-    def residual(self) -> Floats:
-        """Return the efforts that the fit does not explain, shape (rows, joints)."""
-        factors = np.r_[-_parameters(self.x), -self.x[PARAMETERS:], 1.0]
-        return np.asarray(self.table @ factors)
-
-    def _normal(self, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations, for all blocks except `without`."""
-        chosen = np.arange(len(self.products)) != without
-        sums = np.tensordot(self.weights, np.sum(self.products[chosen], axis=0), 1)
-        return sums[:-1, :-1], sums[:-1, -1]
-
-    def _near(self, x: Floats, matrix: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the parameter derivatives at x, and the precision and mean of the prior."""
-        slope = np.eye(self.size)
-        slope[:PARAMETERS, :PARAMETERS] = _slope(x)
-        mass = max(x[0], LIGHTEST)
-        moment = mass * RADIUS**2
-        mean = np.zeros(self.size)
-        mean[4:7] = moment
-        precision = 1e-9 * (np.diagonal(matrix) + 1e-9)
-        precision[0] = 1e-6
-        precision[1:4] = 1.0 / (REACH * mass) ** 2
-        precision[4:10] = 1.0 / moment**2
-        precision[self.gains] = 1.0 / self.gain_error**2
-        known = np.diag(precision)
-        links = slice(PARAMETERS, self.first)
-        known[links, links] += self.prior_of_links
-        return slope, known, mean
-
-    def _solution(self, without: int | None = None) -> Floats:
-        """Solve the linearised normal equations, for all blocks except `without`."""
-        (matrix, vector), x = self._normal(without), self.x
-        for _ in range(_STEPS):
-            slope, known, mean = self._near(x, matrix)
-            shift = np.zeros(self.size)
-            shift[:PARAMETERS] = _parameters(x) - slope[:PARAMETERS, :PARAMETERS] @ x[:PARAMETERS]
-            right = slope.T @ (vector - matrix @ shift) + known @ mean
-            x = np.linalg.solve(slope.T @ matrix @ slope + known, right)
-        return np.asarray(x)
-
-    def covariances(self) -> tuple[Floats, Floats]:
-        """Return the covariance of the unknowns, and its part due to noise."""
-        matrix, _ = self._normal()
-        slope, known, _ = self._near(self.x, matrix)
-        data = slope.T @ matrix @ slope
-        whole: Floats = np.asarray(np.linalg.inv(data + known))
-        return whole, whole @ data @ whole
-
-    def _between(self) -> Floats:
-        """Return jackknife variances of mass and centre of mass, shape (4,)."""
-        count = len(self.products)
-        if count < 2:
-            return np.zeros(4)
-        others = [self._solution(k) for k in range(count)]
-        mass_and_com = [np.r_[x[0], x[1:4] / _divisor(x)] for x in others]
-        return np.asarray((count - 1) * np.var(mass_and_com, axis=0))
+    target = loaded.efforts - loaded.arm - (empty.efforts - empty.arm)
+    terms = loaded.terms.copy()
+    terms[..., -1] -= empty.terms[..., -1]  # friction that grows with the load
+    count, m, t = terms.shape
+    joint = np.arange(m)
+    own = np.zeros((count, m, m, 2 + t))
+    own[:, joint, joint, 2:] = terms
+    usual = np.array([HEAVIEST] * PARAMETERS + [DRIFT, GAIN, *[math.inf] * t] * m)
+    x, residual = np.zeros(len(usual)), target
+    for _ in range(_ROUNDS):
+        of_payload = loaded.payload @ x[:PARAMETERS]
+        own[:, joint, joint, 0] = loaded.arm + of_payload
+        own[:, joint, joint, 1] = of_payload
+        table = np.concatenate([loaded.payload, own.reshape(count, m, -1)], -1)
+        weights = 1.0 / _noise(residual, target, t)
+        matrix = sum(w * table[:, j].T @ table[:, j] for j, w in enumerate(weights))
+        vector = sum(w * table[:, j].T @ target[:, j] for j, w in enumerate(weights))
+        mass, moment = max(x[0], LIGHTEST), _second_moment(x)
+        mean = np.zeros(len(x))
+        mean[4:PARAMETERS] = [
+            moment * (i == k) + x[1 + i] * x[1 + k] / mass for i, k in SECOND_MOMENTS
+        ]
+        usual[1:4], usual[4:PARAMETERS] = REACH * mass, moment
+        is_free = np.isinf(usual)
+        precision = usual**-2 + is_free * 1e-9 * (np.diagonal(matrix) + 1e-9)
+        covariance = np.linalg.inv(matrix + np.diag(precision))
+        x = covariance @ (vector + usual**-2 * mean)
+        residual = target - table @ x
+    own_share = np.einsum('kju,kj,j->uj', table, of_payload, weights)
+    changes = np.column_stack([(gains.ratio - 1.0) * x, gains.spread * covariance @ own_share])[
+        :PARAMETERS
+    ]
+    covariance = covariance[:PARAMETERS, :PARAMETERS] + changes @ changes.T
+    return _Fit(x[:PARAMETERS], covariance, residual)
 
 
-def _parameters(x: Floats) -> Floats:
-    """Convert the unknowns x to the parameters of `payload_columns`, shape (10,)."""
-    outer = np.outer(x[1:4], x[1:4]) / max(x[0], LIGHTEST)
-    return np.asarray(np.r_[x[:4], x[4:10] + [outer[i, j] for i, j in SECOND_MOMENTS]])
+def _noise(residual: Floats, target: Floats, terms: int) -> Floats:
+    """Return the variance of the noise of each joint, shape (joints,)."""
+    if terms > 1:
+        return np.array([_variance_of_noise(each, terms) for each in residual.T]) + 1e-12
+    # With few poses, a joint may fit well by chance, so the variance needs a lower bound. The
+    # bound is relative to the effort, because a common bound exceeded the noise of the wrist.
+    squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
+    size = np.mean(target**2, axis=0) + 1e-12
+    return np.asarray(squares + LEAST_NOISE * np.median(squares / size) * size + 1e-12)
 
 
-def _slope(x: Floats) -> Floats:
-    """Return the derivatives of `_parameters` with respect to the unknowns, shape (10, 10)."""
-    slope = np.eye(PARAMETERS)
-    m, h = max(x[0], LIGHTEST), x[1:4]
-    for row, (i, j) in enumerate(SECOND_MOMENTS, start=4):
-        slope[row, 0] = -h[i] * h[j] / m**2 * (x[0] > LIGHTEST)
-        slope[row, 1 + i] += h[j] / m
-        slope[row, 1 + j] += h[i] / m
-    return slope
+def _second_moment(x: Floats) -> float:
+    """Return the expected second moment about an axis [kg m^2]."""
+    return float(max(x[0], LIGHTEST) * RADIUS**2)
 
 
-def _divisor(x: Floats) -> float:
-    """Return the mass, or a small positive mass if the mass is near zero."""
-    return float(x[0]) if abs(x[0]) > _SMALLEST else _SMALLEST
-
-
-def _variance(covariance: Floats, x: Floats) -> Floats:
+def _variances(fit: _Fit) -> Floats:
     """Return the variances of mass and centre of mass, shape (4,)."""
-    slope = np.zeros((4, 4))
+    mass = fit.x[0] if abs(fit.x[0]) > 1e-6 else 1e-6
+    slope = np.eye(4) / mass
     slope[0, 0] = 1.0
-    slope[1:, 0] = -x[1:4] / _divisor(x) ** 2
-    slope[1:, 1:] = np.eye(3) / _divisor(x)
-    return np.asarray(np.diagonal(slope @ covariance[:4, :4] @ slope.T).copy())
-
-
-def _shows_inertia(covariance: Floats, x: Floats) -> bool:
-    """Return whether the measurement clearly improves on the prior of the second moments."""
-    moment = max(x[0], LIGHTEST) * RADIUS**2
-    return bool(np.sqrt(np.trace(covariance[4:7, 4:7])) < 0.5 * moment)
+    slope[1:, 0] = -fit.x[1:4] / mass**2
+    return np.asarray(np.diagonal(slope @ fit.covariance[:4, :4] @ slope.T).copy())

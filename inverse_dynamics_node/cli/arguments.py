@@ -64,8 +64,8 @@ def add_gravity(parser: argparse.ArgumentParser) -> None:
 def add_link(parser: argparse.ArgumentParser, role: str = '') -> None:
     """Add the option --link; the help ends with `role`."""
     text = (
-        'link that carries the payload (default: tool0 if it exists, otherwise the last link of '
-        'the longest chain, ignoring fingers)'
+        'link that carries the payload (default: tool0 if it exists, otherwise the tool or the '
+        'last link of the longest chain, ignoring fingers and sensors)'
     )
     parser.add_argument('--link', help=text + role)
 

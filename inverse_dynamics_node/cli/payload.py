@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from functools import partial
+from itertools import count
 import json
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
+from typing import TextIO, TYPE_CHECKING
 
 from ..analysis.diagnosis import GravityConvention
 from ..analysis.payload import measure_payload, PayloadEstimate
@@ -22,6 +24,7 @@ from ..report.payload_report import (
     verdict,
 )
 from ..robot.kinematics import last_link
+from ..robot.model import RobotModel
 from . import arguments
 from .arguments import choose_node, node_name
 from .console import (
@@ -39,6 +42,7 @@ from .recordings import measured_efforts, read_recording, reported_convention, s
 
 if TYPE_CHECKING:
     from ..ros.diagnostics import NodeStatus
+    from ..ros.observer import Observer
 
 EPILOG = """\
 examples:
@@ -51,16 +55,15 @@ examples:
 Record the same motion twice, without and with the payload. Move all joints slowly, in both
 directions, for 20 s or more. Or let the arm rest in 6 to 8 poses for 2 s each, and approach each
 pose from the same side in both recordings. The help of `inverse_dynamics compare` lists the
-formats of recordings.
+formats of recordings. With a single recording, `inverse_dynamics compare` names a payload.
 
 With --record, the command records the joint states of a running node, and then measures the
-payload. To record the empty arm, leave out --empty: the result is then the payload that the empty
-arm seems to carry. Ctrl-C ends the recording early: what was recorded is saved, but no payload
-is measured.
+payload. To record the empty arm, leave out --empty. Ctrl-C ends the recording early: what was
+recorded is saved, but no payload is measured.
 
-exit code: 0 measured; 1 a recording cannot be used, or the node did not accept the payload;
-2 invalid arguments; 3 the recordings do not determine the mass, or determine only a part of the
-centre of mass; 130 ended by Ctrl-C."""
+exit code: 0 measured, or recorded without --empty; 1 a recording cannot be used, or the node did
+not accept the payload; 2 invalid arguments; 3 the recordings do not determine the mass, or
+determine only a part of the centre of mass; 130 ended by Ctrl-C."""
 
 _NOT_SHOWN = 3
 
@@ -108,6 +111,9 @@ def make_parser() -> argparse.ArgumentParser:
         help='publish the payload to a running node, and wait until the node uses it '
         '(needs ROS 2; default: the only node)',
     )
+    parser.add_argument(
+        '--replace', action='store_true', help='with --apply, remove the payloads on other links'
+    )
     arguments.add_picture(parser)
     arguments.add_force(parser)
     return parser
@@ -118,38 +124,35 @@ def run(options: argparse.Namespace) -> int:
     _check_files(options)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
-    robot.link_index(link)
-    source, gravity = options.node_parameters, options.gravity
-    convention, scale = measured_efforts(source, robot.joint_names)
-    empty = None
+    if not robot.link_body[robot.link_index(link)]:
+        raise ConfigurationError(
+            f"link '{link}' does not move, so no effort shows its payload: choose another --link"
+        )
+    gravity = options.gravity
+    convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
     if options.empty is not None:
         empty, _ = read_recording(options.empty, robot, options.topic)
+    topic = options.topic
     if options.record is not None:
-        node, status = _record(options, robot.joint_names)
-        if source is None:
-            source, convention = node, reported_convention(status)
-            scale = status.measured_scale()
+        topic = None
+        status = _record(options, robot)
+        if options.node_parameters is None:
+            convention, scale = reported_convention(status), status.measured_scale()
         if gravity is STANDARD_GRAVITY:
             gravity = tuple(status.gravity()) or gravity
-    if empty is None and not convention.in_measured:
-        raise ConfigurationError(
-            f'{source}: the recorded efforts do not contain gravity; use --empty to add a '
-            'recording without the payload'
-        )
-    topic = options.topic if options.record is None else None
+        if options.empty is None:
+            return 0
     loaded, _ = read_recording(options.loaded, robot, topic, scale)
-    empty = empty and scaled(empty, scale)
-    result = measure_payload(robot, loaded, empty, link, gravity)
-    apparent = None
-    if empty is not None and convention.in_measured:
-        apparent = measure_payload(robot, empty, None, link, gravity)
+    result = measure_payload(
+        robot, loaded, scaled(empty, scale), link, gravity, convention.in_measured
+    )
     is_shown = result.is_certain and not result.unknown
     if options.json:
-        print(json.dumps(as_json(result, apparent)))
+        print(json.dumps(as_json(result)))
     else:
         say(verdict(result))
         print()
-        show(inertia_table(result), payload_table(result, robot, apparent))
+        show(inertia_table(result), payload_table(result, robot))
         if is_shown:
             print(escaped(topic_command(result)))
             print(escaped(inertial_element(result)))
@@ -165,6 +168,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_files(options: argparse.Namespace) -> None:
     """Check the paths of the outputs."""
+    if options.empty is None and options.record is None:
+        raise OutputError(
+            '--empty is missing: record the same motion without the payload. With a single '
+            'recording, `inverse_dynamics compare` names a payload'
+        )
     inputs = [options.urdf, options.empty, options.node_parameters]
     outputs = {'--picture': options.picture}
     if options.record is None:
@@ -177,49 +185,81 @@ def _check_files(options: argparse.Namespace) -> None:
         except argparse.ArgumentTypeError as error:
             raise OutputError(str(error)) from None
         outputs['--record'] = options.loaded
-        outputs['partial recording'] = _partial(options.loaded)
     check_outputs([*filter(None, inputs)], outputs, options.force)
 
 
-def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, NodeStatus]:
-    """Record the joint states of a running node; return the name and status of the node."""
+def _record(options: argparse.Namespace, robot: RobotModel) -> NodeStatus:
+    """Record the joint states of a running node; return the status of the node."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.recorder import JointStateRecorder
 
     wanted = None if options.apply is True else options.apply
     path, seconds = options.loaded, options.record
+    replaced = _identity(path)
     with observing_node(options.ros_arguments) as node:
         observer = Observer(node, choose_node(node, wanted, is_patient=False))
         recorder = JointStateRecorder(observer)
         with progress(f'waiting for the joint states of {observer.name}'):
-            recorder.wait(joints)
-        before = observer.status
-        text, partial = f'recording {recorder.topic} for {seconds:g} s', _partial(path)
+            recorder.wait(robot.joint_names)
+        before = _checked_status(observer, robot)
+        text = f'recording {recorder.topic} for {seconds:g} s'
         print(text, file=sys.stderr, flush=True)
-        with collected_signals() as signals, progress(text) as report:
-            reason = recorder.record(partial, seconds, lambda: bool(signals), report)
-    # A recording that ended early must not replace a complete recording.
-    written = partial if reason and path.exists() else partial.replace(path)
-    count, duration = recorder.count, recorder.duration
-    print(f'{written}: {count} joint states in {duration:.1f} s', file=sys.stderr)
+        with (
+            _partial_file(path) as file,
+            collected_signals() as signals,
+            progress(text) as report,
+        ):
+            reason = recorder.record(file, seconds, lambda: bool(signals), report)
+        after = _checked_status(observer, robot)
+    written = Path(file.name)
+    if _identity(path) != replaced:
+        reason = reason or f'this is not {path}, which another command has written meanwhile'
+    elif not reason or not path.exists():
+        # A recording that ended early must not replace a complete recording.
+        written = written.replace(path)
+    states = f'{recorder.count} joint states in {recorder.duration:.1f} s'
+    print(f'{written}: {states}', file=sys.stderr)
     if signals:
         raise SystemExit(128 + signals[0])
     if reason:
-        raise RecordingError(f'{written} ends before {seconds:g} s, because {reason}')
-    after = observer.status
-    assert before is not None
-    assert after is not None
+        raise RecordingError(f'{written}: {reason}')
     if _content(before) != _content(after):
         raise RecordingError(
             f'{written}: {observer.name} changed its settings for measured efforts during the '
             'recording'
         )
-    return observer.name, after
+    return after
 
 
-def _partial(path: Path) -> Path:
-    """Return the path that a recording has until it is complete."""
-    return path.with_name(f'{path.stem}_partial.csv')
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return what changes when another command writes a file; None if it does not exist."""
+    if not path.exists():
+        return None
+    status = path.stat()
+    return status.st_ino, status.st_mtime_ns
+
+
+def _partial_file(path: Path) -> TextIO:
+    """Open a new file for a recording that is not complete, such as run_partial.csv."""
+    for number in count():
+        suffix = f'_{number + 1}' if number else ''
+        with suppress(FileExistsError):
+            return path.with_name(f'{path.stem}_partial{suffix}.csv').open(
+                'x', newline='', encoding='utf-8'
+            )
+    raise AssertionError
+
+
+def _checked_status(observer: Observer, robot: RobotModel) -> NodeStatus:
+    """Return the status of a node; raise ConfigurationError if it uses another description."""
+    status = observer.status
+    joints = status.names('model', 'joints') if status else []
+    if status is None or not set(joints) <= set(robot.joint_names):
+        raise ConfigurationError(
+            f'{observer.name} uses another robot description, with joints {", ".join(joints)}; '
+            f'the URDF of the command line has {", ".join(robot.joint_names)}'
+        )
+    return status
 
 
 def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
@@ -235,5 +275,5 @@ def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:
     name = None if options.apply is True else options.apply
     with observing_node(options.ros_arguments) as node:
         found = choose_node(node, name, is_patient=False)
-        apply_payload(node, Observer(node, found), result.link, result.body)
+        apply_payload(node, Observer(node, found), result.link, result.body, options.replace)
     return found

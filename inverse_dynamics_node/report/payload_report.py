@@ -11,12 +11,6 @@ from ..robot.model import RobotModel
 from .diagnosis_text import amount, joined
 from .tables import table, with_error
 
-_WITHOUT_EMPTY = (
-    'Without an empty run, errors in the modelled links look like a payload. On real robots, this '
-    'apparent payload was 0.02 to 1.5 kg. The standard error includes only a guess of these '
-    'errors. Record the same motion without the payload, and pass this recording with --empty.'
-)
-
 
 def verdict(result: PayloadEstimate) -> str:
     """Describe the payload in one or two sentences."""
@@ -30,16 +24,22 @@ def verdict(result: PayloadEstimate) -> str:
     if not result.unknown:
         com = ', '.join(f'{1e3 * x:.0f}' for x in result.body.com)
         error = 1e3 * float(max(result.com_error))
-        return f'{text}, with its centre of mass at ({com}) ± {max(error, 1.0):.0f} mm.'
-    return (
-        f'{text}. The recordings do not determine {joined(result.unknown)} of the centre of '
-        'mass: record poses or a motion that turn the payload about two horizontal axes.'
-    )
+        text += f', with its centre of mass at ({com}) ± {max(error, 1.0):.0f} mm.'
+    else:
+        text += (
+            f'. The recordings do not determine {joined(result.unknown)} of the centre of mass: '
+            'record poses or a motion that turn the payload about two horizontal axes.'
+        )
+    if result.is_scaled:
+        ratio = with_error(result.ratio, result.ratio_error)
+        text += (
+            f' The efforts of the empty arm are {ratio} of those of its description. If the '
+            f'description is right, the payload is {result.body.mass / result.ratio:.3g} kg.'
+        )
+    return text
 
 
-def payload_table(
-    result: PayloadEstimate, robot: RobotModel, apparent: PayloadEstimate | None
-) -> str:
+def payload_table(result: PayloadEstimate, robot: RobotModel) -> str:
     """Return the RMS efforts of the payload and the RMS residuals, one row per joint."""
     rows = []
     for name, measured, left in zip(
@@ -49,15 +49,7 @@ def payload_table(
         rows.append((name, amount(measured, slides), amount(left, slides)))
     compared = f'{result.poses} poses' if result.poses else f'{result.duration:.1f} s of motion'
     what = 'these poses' if result.poses else 'this motion'
-    if math.isnan(result.matched):
-        notes = [f'Measured from {compared}. {_WITHOUT_EMPTY}']
-    else:
-        notes = [f'Measured from {compared}; the empty run covers {result.matched:.0%} of {what}.']
-    if apparent is not None:
-        mass = with_error(apparent.body.mass, apparent.mass_error)
-        notes.append(
-            f'The empty run alone looks like a payload of {mass} kg; --empty removes this error.'
-        )
+    notes = [f'Measured from {compared}; the empty run covers {result.matched:.0%} of {what}.']
     if not result.shows_inertia:
         notes.append('The inertia is assumed, because the recordings do not show it.')
     columns = ('joint', 'payload', 'residual')
@@ -97,7 +89,7 @@ def inertial_element(result: PayloadEstimate) -> str:
     )
 
 
-def as_json(result: PayloadEstimate, apparent: PayloadEstimate | None) -> dict[str, Any]:
+def as_json(result: PayloadEstimate) -> dict[str, Any]:
     """Return the result as values for JSON; unknown coordinates are null."""
     return {
         'link': result.link,
@@ -113,8 +105,9 @@ def as_json(result: PayloadEstimate, apparent: PayloadEstimate | None) -> dict[s
         'is_certain': result.is_certain,
         'poses': result.poses,
         'duration': result.duration,
-        'matched': None if math.isnan(result.matched) else result.matched,
-        'apparent_mass_of_empty_arm': None if apparent is None else apparent.body.mass,
+        'matched': result.matched,
+        'ratio': None if math.isnan(result.ratio_error) else result.ratio,
+        'ratio_error': None if math.isnan(result.ratio_error) else result.ratio_error,
         'joints': [
             {'name': name, 'payload': measured, 'left': left}
             for name, measured, left in zip(

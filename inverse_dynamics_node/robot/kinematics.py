@@ -11,6 +11,8 @@ import numpy as np
 from .model import Floats, RobotModel
 
 _FINGER = re.compile('finger|thumb|gripper|knuckle|jaw|claw', re.IGNORECASE)
+_TOOL = re.compile('tool|tcp|gripper|hand|flange|eef|effector|(^|_)ee($|_)', re.IGNORECASE)
+_SENSOR = re.compile('camera|optical|imu|lidar|laser|sensor|depth', re.IGNORECASE)
 _FINGER_FRACTION = 0.3
 """A branch shorter than this fraction of the whole chain is a finger."""
 
@@ -82,8 +84,9 @@ def last_link(robot: RobotModel) -> str:
     """
     Return the link that probably carries a payload.
 
-    The result is ``tool0`` if this link exists. Otherwise, the result is the last link of the
-    longest chain. Fingers at the end of the chain are ignored.
+    The result is ``tool0`` if this link exists. Otherwise, the result is a link of the last body
+    in the longest chain: preferably a gripper or tool by its name, and not a camera or other
+    sensor. Fingers at the end of the chain are ignored.
 
     """
     if 'tool0' in robot.link_names:
@@ -91,7 +94,9 @@ def last_link(robot: RobotModel) -> str:
     chain = max((path_to(robot, body) for body in range(len(robot.parent))), key=len)
     body = _without_fingers(robot, chain) if chain else 0
     links = [robot.link_names[int(k)] for k in np.flatnonzero(robot.link_body == body)]
-    return ([name for name in links if not _FINGER.search(name)] or links)[-1]
+    links = [name for name in links if not _SENSOR.search(name)] or links
+    tools = [name for name in links if _TOOL.search(name)]
+    return (tools or [name for name in links if not _FINGER.search(name)] or links)[-1]
 
 
 def _without_fingers(robot: RobotModel, chain: Sequence[int]) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import csv
 import math
-from pathlib import Path
 import time
+from typing import TextIO
 
 from ..errors import ConfigurationError, JointStateError
 from ..robot.model import Floats
@@ -110,7 +110,7 @@ class JointStateRecorder:
 
     def record(
         self,
-        path: Path,
+        file: TextIO,
         seconds: float,
         is_stopped: Callable[[], bool],
         progress: Callable[[float], None],
@@ -122,34 +122,36 @@ class JointStateRecorder:
         elapsed fraction of `seconds`, 0 to 1.
         """
         began = last = time.monotonic()
-        with path.open('w', newline='', encoding='utf-8') as file:
-            writer = csv.writer(file)
-            header = self._rows.header()
-            writer.writerow(header)
-            efforts = [header.index(f'{joint}.effort') for joint in self._joints]
+        writer = csv.writer(file)
+        header = self._rows.header()
+        writer.writerow(header)
+        efforts = [header.index(f'{joint}.effort') for joint in self._joints]
 
-            def write(data: bytes, received: float) -> None:
-                nonlocal last
-                row = self._rows.row(data, received)
-                if row:
-                    writer.writerow(row)
-                    if any(row[k] is not None for k in efforts):
-                        self.count += 1
-                        last = time.monotonic()
+        def write(data: bytes, received: float) -> None:
+            nonlocal last
+            row = self._rows.row(data, received)
+            if row:
+                writer.writerow(row)
+                if any(row[k] is not None for k in efforts):
+                    self.count += 1
+                    last = time.monotonic()
 
-            self._observer.on_joint_state = write
-            reason = ''
-            while not reason and self.duration < seconds:
-                time.sleep(_POLL)
-                self._observer.poll()
-                file.flush()
-                now = time.monotonic()
-                self.duration = now - began
-                progress(min(1.0, self.duration / seconds))
-                if is_stopped():
-                    reason = 'the recording was stopped'
-                elif now > last + _SILENCE:
-                    reason = f'no efforts arrived on {self.topic} for {_SILENCE:g} s'
+        self._observer.on_joint_state = write
+        reason = ''
+        while not reason and self.duration < seconds:
+            time.sleep(_POLL)
+            self._observer.poll()
+            file.flush()
+            now = time.monotonic()
+            self.duration = now - began
+            progress(min(1.0, self.duration / seconds))
+            if is_stopped():
+                reason = f'it ends before {seconds:g} s, because the recording was stopped'
+            elif now > last + _SILENCE:
+                reason = (
+                    f'it ends before {seconds:g} s, because no efforts arrived on {self.topic} '
+                    f'for {_SILENCE:g} s'
+                )
         self._observer.on_joint_state = None
         return reason
 

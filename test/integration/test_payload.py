@@ -23,9 +23,10 @@ NAMES = list(ROBOT.joint_names)
 def payload(domain_id, tmp_path):
     """Return a function that starts the command in a folder of its own."""
 
-    def start(*arguments):
-        command = ['-m', 'inverse_dynamics_node.cli.main', 'payload', URDF, *arguments]
-        command += ['--link', 'tool0', '--json']
+    def start(*arguments, urdf=URDF):
+        command = ['-m', 'inverse_dynamics_node.cli.main', 'payload', urdf, *arguments, '--json']
+        if '--link' not in arguments:
+            command += ['--link', 'tool0']
         environment = {'ROS_DOMAIN_ID': str(domain_id)}
         processes.append(SERVER.run(command, environment, tmp_path, stdout=subprocess.PIPE))
         return processes[-1]
@@ -73,6 +74,16 @@ def test_the_node_takes_the_payload(run_node, robot, payload, ended, tmp_path):
     assert code == 0
     assert mass == pytest.approx(2.0, rel=0.02)
     assert f"payload of {mass:g} kg on link 'tool0'" in node.output
+    # On another link, it would be carried a second time.
+    again = 'loaded.csv', '--empty', 'empty.csv', '--apply', '--link', 'link_7'
+    code, output = ended(payload(*again))
+    assert code == 1
+    assert f'carries another payload: {mass:.3g}' in output
+    assert '--replace to remove it' in output
+    code, output = ended(payload(*again, '--replace'))
+    assert code == 0
+    robot.wait_for_text(node, "payload on link 'tool0' removed")
+    assert f"payload of {report_of(output)['mass']:g} kg on link 'link_7'" in node.output
 
 
 def hold(robot, efforts):
@@ -95,6 +106,30 @@ def test_ctrl_c_ends_the_recording(run_node, robot, payload, ended, tmp_path):
     recording, _ = read_measured_states(partial, NAMES)
     assert set(np.diff(recording.times) > 0.0) == {True}
     assert np.all(recording.efforts == np.arange(7.0))
+
+
+def test_two_recordings_of_one_file_are_both_kept(run_node, robot, payload, ended, tmp_path):
+    hold(robot, np.arange(7.0))
+    robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
+    first = payload('run.csv', '--record', '1000')
+    robot.wait_until((tmp_path / 'run_partial.csv').exists, 'the first recording')
+    second = payload('run.csv', '--record', '1000')
+    robot.wait_until((tmp_path / 'run_partial_2.csv').exists, 'the second recording')
+    for process in (first, second):
+        process.send_signal(signal.SIGINT)
+        ended(process)
+    assert {path.name for path in tmp_path.iterdir()} == {'run.csv', 'run_partial_2.csv'}
+
+
+def test_the_description_has_to_be_that_of_the_node(run_node, robot, payload, ended, tmp_path):
+    short = URDF.read_text().replace('wrist_roll', 'last')
+    (tmp_path / 'other.urdf').write_text(short)
+    hold(robot, np.arange(7.0))
+    robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
+    code, output = ended(payload('run.csv', '--record', '1', urdf='other.urdf'))
+    assert code == 1
+    assert 'uses another robot description, with joints shoulder_pan' in output
+    assert not (tmp_path / 'run.csv').exists()
 
 
 def test_joint_states_have_to_contain_efforts(run_node, robot, payload, ended, tmp_path):

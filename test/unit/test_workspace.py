@@ -148,3 +148,22 @@ def test_default_link_is_not_a_finger_or_a_base(robot, body):
     link = last_link(model)
     assert model.body_names[model.link_body[model.link_names.index(link)]] == body
     assert 'finger' not in link or robot == 'finger_edu'
+
+
+@pytest.mark.parametrize(
+    ('links', 'expected'),
+    [
+        (['camera_link', 'ee_gripper_link', 'camera_optical_frame'], 'ee_gripper_link'),
+        (['imu', 'lidar'], 'arm'),
+        (['plate', 'tcp', 'depth_frame'], 'tcp'),
+    ],
+)
+def test_default_link_is_a_tool_and_not_a_sensor(links, expected):
+    fixed = ''.join(
+        f'<link name="{name}"/><joint name="{name}_joint" type="fixed"><parent link="arm"/>'
+        f'<child link="{name}"/></joint>'
+        for name in links
+    )
+    joint = '<joint name="j" type="continuous"><parent link="base"/><child link="arm"/></joint>'
+    urdf = f'<robot name="r"><link name="base"/><link name="arm"/>{joint}{fixed}</robot>'
+    assert last_link(load_urdf(urdf)) == expected
