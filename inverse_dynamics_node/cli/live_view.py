@@ -176,7 +176,7 @@ def as_json(
         'problem_joints': list(fault.joints) if fault else [],
         'problem_values': [_known(value) for value in values],
         'problem_link': (fault.link or None) if fault else None,
-        'unchecked_joints': [*agreement.unchecked, *agreement.unmeasured],
+        'unchecked_joints': {name: agreement.checks[name].value for name in agreement.unchecked},
         'saturated_joints': list(agreement.saturated),
         'status': node_values(observer, agreement) or None,
         'joints': joint_rows(observer, sample) if sample is not None else [],

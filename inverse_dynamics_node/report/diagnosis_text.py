@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 import math
 
-from ..analysis.diagnosis import Fault, FaultKind
-from ..analysis.diagnosis.live import Agreement, DURATION, Obstacle, Size
+from ..analysis.diagnosis import Fault, FaultKind, is_usual
+from ..analysis.diagnosis.live import Agreement, Check, DURATION, Obstacle, Size
 from ..robot.model import ModelWarning
 from .tables import counted
 
@@ -70,6 +70,25 @@ def _positions(fault: Fault) -> str:
     return f'{positions} are far outside their limits, so nothing else can be diagnosed'
 
 
+def _velocity(fault: Fault) -> str:
+    parts = []
+    for joint, factor in zip(fault.joints, fault.values, strict=True):
+        if math.isnan(factor):
+            parts.append(f'the velocity of {joint} contradicts its position')
+        elif factor == 0.0:
+            parts.append(f'the velocity of {joint} is zero while the joint moves')
+        elif factor < 0.0:
+            parts.append(f'the velocity of {joint} has the wrong sign')
+        else:
+            parts.append(f'the velocity of {joint} is {factor:.3g} times that of its position')
+    return '; '.join(parts)
+
+
+def _velocity_lag(fault: Fault) -> str:
+    lags = ', '.join(f'{1e3 * seconds:.0f} ms' for seconds in fault.values)
+    return f'the velocity of {joined(fault.joints)} lags behind the position by {lags}'
+
+
 def _reversed_axis(fault: Fault) -> str:
     is_one = len(fault.joints) == 1
     axes = 'has a reversed axis, so its' if is_one else 'have reversed axes, so their'
@@ -90,6 +109,8 @@ def _sign(fault: Fault) -> str:
 
 def _unit(fault: Fault) -> str:
     factor = sum(fault.values) / len(fault.values)
+    if is_usual(factor):
+        return f'all efforts are {factor:.2f} times those of the model'
     size = f'{float(f"{factor:.3g}"):g} times too large'
     if factor < 1.0:
         size = f'{float(f"{1.0 / factor:.3g}"):g} times too small'
@@ -146,6 +167,8 @@ def _fixed(text: str) -> Callable[[Fault], str]:
 
 _HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = {
     FaultKind.POSITIONS: _positions,
+    FaultKind.VELOCITY: _velocity,
+    FaultKind.VELOCITY_LAG: _velocity_lag,
     FaultKind.REVERSED_AXIS: _reversed_axis,
     FaultKind.DELAY: _delay,
     FaultKind.ORDER: _joints('the efforts of {} are in the wrong order'),
@@ -345,10 +368,22 @@ _UNIT_ADVICE = (
     'The same factor for all joints means a different unit, such as N mm for a factor of 1000. '
     'Convert the efforts to N m (prismatic joints: N).'
 )
+_FACTOR_ADVICE = (
+    'The torque constants of the driver, or all masses of the URDF, may be wrong by this factor. '
+    'A known payload tells which: see inverse_dynamics payload.'
+)
 _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
     FaultKind.POSITIONS: _fixed(
         'Convert the positions to rad. Check the zero positions, and whether the limits '
         'belong to this robot.'
+    ),
+    FaultKind.VELOCITY: _fixed(
+        'Correct the velocities in the driver; a factor of 57.3 means degrees per second. Do not '
+        'go live: with wrong velocities, damping and computed torque drive the joints.'
+    ),
+    FaultKind.VELOCITY_LAG: _fixed(
+        'Shorten the filter of the velocities in the driver. Late velocities make damping and '
+        'computed torque unstable.'
     ),
     FaultKind.REVERSED_AXIS: _fixed(
         'Change the sign of the <axis> in the URDF, or change the signs of positions, '
@@ -366,7 +401,7 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
     FaultKind.GRAVITY_COMPENSATED: _gravity_compensated_advice,
     FaultKind.GRAVITY_MEASURED: _gravity_measured_advice,
     FaultKind.MOUNTING: _mounting_advice,
-    FaultKind.UNIT: _fixed(_UNIT_ADVICE),
+    FaultKind.UNIT: lambda fault: _FACTOR_ADVICE if is_usual(fault.values[0]) else _UNIT_ADVICE,
     FaultKind.SIGN: _sign_advice,
     FaultKind.SCALE: _scale_advice,
     FaultKind.PAYLOAD: _payload_advice,
@@ -417,6 +452,8 @@ def agreement_sentence(agreement: Agreement) -> str:
 def _differ(agreement: Agreement) -> str:
     """Describe all faults, and give advice on the first fault."""
     parts = [*map(_headline, agreement.faults), _sizes(agreement)]
+    if agreement.is_past:
+        parts.append('found earlier in this run')
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
     if agreement.saturated:
@@ -432,12 +469,32 @@ def _headline(fault: Fault) -> str:
     return f'{text}, at {centre_of_mass(fault)} m in the frame of the link'
 
 
-def _few_joints(agreement: Agreement) -> str:
-    count, total = agreement.numbers
-    return (
-        f'model and robot agree, but only {count:.0f} of {total:.0f} joints could be checked: '
-        f'{_compared(agreement)}; move the arm to check more joints'
+def _not_checked(agreement: Agreement) -> str:
+    """Say which joints were not checked, and what would check each of them."""
+    by_check: dict[Check, list[str]] = {}
+    for name, check in agreement.checks.items():
+        by_check.setdefault(check, []).append(name)
+    parts = [
+        text.format(joined(by_check[check]))
+        for check, text in _CHECKS.items()
+        if check in by_check
+    ]
+    return f'not checked: {"; ".join(parts)}. Otherwise model and robot agree: ' + _compared(
+        agreement
     )
+
+
+_CHECKS = {
+    Check.NO_WEIGHT: (
+        'move {}, which rested and carries too little weight to show the sign of its effort'
+    ),
+    Check.NOT_MOVED: 'move {}, because velocities are compared with positions only in motion',
+    Check.FAINT: (
+        '{} moved, but its weight, friction and inertia are too small to show the sign of its '
+        'effort; move it faster, or accept it with --unchecked'
+    ),
+    Check.NOT_MEASURED: '{} has no measured effort; accept it with --unchecked',
+}
 
 
 def _saturated(agreement: Agreement) -> str:
@@ -451,10 +508,6 @@ def _compared(agreement: Agreement) -> str:
     text = _sizes(agreement)
     if not agreement.is_moving:
         text += ', at rest'
-    if agreement.unchecked:
-        text += f'; not checked because of small efforts: {_listed(agreement.unchecked)}'
-    if agreement.unmeasured:
-        text += f'; not checked because no effort is measured: {_listed(agreement.unmeasured)}'
     return text
 
 
@@ -511,7 +564,7 @@ def _two_digits(value: float) -> str:
 _OBSTACLES: dict[Obstacle, Callable[[Agreement], str]] = {
     Obstacle.SLOW_STATES: _slow_states,
     Obstacle.SATURATED: _saturated,
-    Obstacle.FEW_JOINTS: _few_joints,
+    Obstacle.NOT_CHECKED: _not_checked,
     Obstacle.AT_REST: _at_rest,
     Obstacle.NO_DIAGNOSTICS: lambda agreement: agreement.reason,
     Obstacle.NODE_STATE: lambda agreement: f'not compared: {agreement.reason}',

@@ -1,6 +1,6 @@
 """Compares recorded efforts with the model, and diagnoses the differences."""
 
-from .fault import Change, Fault, FaultKind, GravityConvention
+from .fault import Change, Fault, FaultKind, GravityConvention, is_usual
 from .friction import friction_parameters, FrictionFit
 from .recording import ComparisonResult, diagnose_recording, JointResidual
 
@@ -14,4 +14,5 @@ __all__ = [
     'JointResidual',
     'diagnose_recording',
     'friction_parameters',
+    'is_usual',
 ]

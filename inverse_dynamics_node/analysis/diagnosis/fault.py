@@ -5,7 +5,13 @@ from __future__ import annotations
 import enum
 from typing import NamedTuple
 
+USUAL_SCALE = (0.5, 2.0)  # factors in this range are errors of a model, not another unit
 SAME_FACTOR = 1.1  # factors with a smaller ratio are regarded as equal
+
+
+def is_usual(factor: float) -> bool:
+    """Return whether a factor may be an error of the model, and not another unit."""
+    return USUAL_SCALE[0] < factor < USUAL_SCALE[1]
 
 
 class FaultKind(enum.Enum):
@@ -14,6 +20,9 @@ class FaultKind(enum.Enum):
     SIGN = 'sign'
     SCALE = 'scale'
     """The efforts of some joints are in a wrong unit, or are motor currents."""
+    VELOCITY = 'velocity'
+    """The velocities of some joints contradict their positions."""
+    VELOCITY_LAG = 'velocity_lag'
     POSITIONS = 'positions'
     """The positions are in a wrong unit, such as degrees."""
     REVERSED_AXIS = 'reversed_axis'
@@ -79,7 +88,9 @@ class Fault(NamedTuple):
     For wrong signs, scales and units, the values are factors. Offsets and constant efforts are in
     N m or N. Rotor inertias are in kg m^2 or kg. The values of a payload are the mass [kg] and the
     coordinates of the centre of mass [m]. Unknown coordinates are NaN. The values of a mounting
-    are the components of gravity in the frame of the base link [m/s^2]. A delay is in seconds.
+    are the components of gravity in the frame of the base link [m/s^2]. Delays and lags are in
+    seconds. The values of velocities are factors: 0 if they are zero during a motion, and NaN if
+    they are not proportional to the real velocities.
     """
     changes: tuple[Change, ...] = ()
     """Effects of the correction on the joints, largest reduction of the residual first."""

@@ -1,17 +1,20 @@
 """
 Compares measured and modelled efforts of the last few seconds, for the command `watch`.
 
-The search for faults is the same as for recordings, except that temporary faults, delays and wrong
-inertial parameters of several links are not considered. In a few seconds of filtered samples,
-delays and wrong inertial parameters look like friction. The arm need not move. The modelled
+The regression is that of recordings, but temporary faults, delays and wrong links are not
+considered, because they look like friction in a few seconds of filtered samples. The modelled
 efforts come from the running node, and include payloads and friction.
+
+A joint is *checked* if another sign of its effort would be noticed, and if its velocity was
+compared with its position. Both need a motion: a joint without weight shows the sign of its effort
+by friction and inertia only.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 import enum
 from typing import Any, NamedTuple
 
@@ -20,24 +23,19 @@ import numpy as np
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.signals import rms
-from .compared_efforts import not_measured
-from .diagnoses import (
-    diagnose,
-    diagnose_axes,
-    diagnose_constant,
-    diagnose_positions,
-    search_axes,
-)
 from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
-from .friction import is_moving, lacks_reversal
-from .joint_samples import NOISE_FLOOR, sample_joints
+from .friction import is_moving
 from .loads import loaded_links
-from .regression_data import RegressionData, RobotFit
+from .rows import OFFSET, ROTOR, Rows, Signals
+from .search import Fit, NOISE_FLOOR, Search
+from .simple_faults import constant_fault, not_measured, positions_fault
+from .statements import faults_of
+from .velocities import check_velocities
 
 DURATION = 10.0  # [s], length of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
-LEAST_MOVING = 0.1  # smallest fraction of the window in which a joint moves in each direction
+LEAST_MOVING = 0.05  # smallest fraction of the window in which a joint moves
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
 AGREEMENT = 0.3  # largest RMS residual of a good model, as a fraction of the effort
 SUSPICIOUS = 0.15  # residuals above this fraction of the effort start the search for faults
@@ -50,19 +48,16 @@ LEAST_FLOOR = 0.005  # accuracy of effort sensors, as a fraction of the limit
 REST_FACTOR = 2.5  # multiple of the floor for joints at rest, because dry friction may hold joints
 FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
-MOST_STATES = 60
+MOST_STATES = 80
 """
 Largest number of states that the search uses, because the search repeats while the robot runs.
 """
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
-LEAST_DURATION = 1.0
-"""
-Shortest duration of the samples [s]. The limit for recordings is higher. A short time is
-sufficient here, because more time reveals no more about an arm at rest.
-"""
 
 GRAVE = (
     FaultKind.POSITIONS,
+    FaultKind.VELOCITY,
+    FaultKind.VELOCITY_LAG,
     FaultKind.REVERSED_AXIS,
     FaultKind.SIGN,
     FaultKind.SCALE,
@@ -91,8 +86,21 @@ class Outcome(enum.Enum):
     UNDECIDED = 'undecided'
     SATURATED = 'saturated'
     """Commanded efforts reach the effort limits, and no difference was found."""
-    FEW_JOINTS = 'few_joints'
-    """Model and robot agree, but only a few joints could be compared."""
+    NOT_CHECKED = 'not_checked'
+    """Model and robot agree, but some commanded joints were not checked."""
+
+
+class Check(enum.Enum):
+    """What is known about the sign of the effort and the velocity of a joint."""
+
+    DONE = 'done'
+    NO_WEIGHT = 'no_weight'
+    """The joint rested, and carries too little weight to show the sign of its effort."""
+    NOT_MOVED = 'not_moved'
+    """The joint rested, so that its velocity was not compared with its position."""
+    FAINT = 'faint'
+    """The joint moved, but its effort is too small to show its sign."""
+    NOT_MEASURED = 'not_measured'
 
 
 class Obstacle(enum.Enum):
@@ -100,7 +108,7 @@ class Obstacle(enum.Enum):
 
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'
-    FEW_JOINTS = 'few_joints'
+    NOT_CHECKED = 'not_checked'
     # The following obstacles leave the outcome undecided.
     NO_DIAGNOSTICS = 'no_diagnostics'
     NODE_STATE = 'node_state'
@@ -132,21 +140,18 @@ class Agreement:
     """Faults, most important first. If the obstacle is `AT_REST`, the cause may be friction."""
     numbers: tuple[float, ...] = ()
     """
-    For `SLOW_STATES`, the measured rate and the lowest sufficient rate [Hz]. For `FEW_JOINTS`, the
-    numbers of checked joints and of commanded joints.
+    For `SLOW_STATES`, the measured rate and the lowest sufficient rate [Hz].
     """
     reason: str = ''
     """Message of the node, for `NODE_STATE`."""
     sizes: tuple[Size, ...] = ()
     """RMS efforts of revolute joints, then of prismatic joints."""
-    checked: tuple[str, ...] = ()
-    """Joints with efforts that are large enough to reveal a wrong sign."""
-    unchecked: tuple[str, ...] = ()
-    """Joints with efforts that are too small to reveal a wrong sign."""
-    unmeasured: tuple[str, ...] = ()
-    """Commanded joints without measured efforts."""
+    checks: Mapping[str, Check] = field(default_factory=dict)
+    """What is known about each compared or commanded joint."""
     saturated: tuple[str, ...] = ()
     """Commanded joints with efforts at the effort limits."""
+    is_past: bool = False
+    """Whether the difference was found earlier, and not in the latest samples."""
     is_moving: bool = True
     """Whether any compared joint moved in the window."""
     has_gravity: bool = True
@@ -156,6 +161,11 @@ class Agreement:
     def cause(self) -> FaultKind | Obstacle | None:
         """Obstacle or fault that decides the outcome, or None if model and robot agree."""
         return self.obstacle or (self.faults[0].kind if self.faults else None)
+
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """Joints that were not checked."""
+        return tuple(name for name, check in self.checks.items() if check is not Check.DONE)
 
 
 # ---- Samples -------------------------------------------------------------------------------
@@ -195,12 +205,19 @@ class LiveWindow:
             self._times.popleft()
             self._rows.popleft()
 
-    def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if a property of the measured efforts, such as the scale, changed."""
-        if measured != self._measured:
-            self._measured = measured
-            self._times.clear()
-            self._rows.clear()
+    def restart_after_change(self, *measured: Any) -> bool:
+        """
+        Drop all samples if a property of the measured efforts, such as the scale, changed.
+
+        Return whether samples of other properties were dropped.
+        """
+        if measured == self._measured:
+            return False
+        has_changed = bool(self._measured)
+        self._measured = measured
+        self._times.clear()
+        self._rows.clear()
+        return has_changed
 
     def samples(self) -> LiveSamples:
         """Return the samples in the window."""
@@ -268,8 +285,8 @@ class _Comparison:
         self.moves: Booleans = rms(np.nan_to_num(whole.qd[:, columns])) > MOVING
         self.effort = np.maximum(rms(self.measured), rms(self.modelled))
         self.floor = self._floor()
-        self.is_checked = rms(self.modelled) > self.floor
-        self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
+        self.is_large = rms(self.modelled) > self.floor
+        self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_large
         # A measured effort of zero needs no explanation if the modelled effort is also small.
         self.searched = np.flatnonzero(self.measured.any(axis=0) & ~self.silent)
 
@@ -278,48 +295,63 @@ class _Comparison:
         common = Agreement(
             Outcome.AGREE,
             sizes=self._sizes(),
-            checked=self._names(self.is_checked),
-            unchecked=self._names(~self.is_checked),
             is_moving=bool(self.moves.any()),
             has_gravity=self.convention.in_measured,
         )
         is_zero = ~self.measured[:, self.silent].any()
-        if self.silent.any() and is_zero and np.array_equal(self.silent, self.is_checked):
+        if self.silent.any() and is_zero and np.array_equal(self.silent, self.is_large):
             return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.ZERO_EFFORTS)
-        robot, q = self.dynamics.robot, self.whole.q
-        if positions := diagnose_positions(robot, q, self.whole.joint_names):
+        robot, whole = self.dynamics.robot, self.whole
+        if positions := positions_fault(robot, whole.q, whole.joint_names):
             return replace(common, outcome=Outcome.DIFFER, faults=tuple(positions))
-        known, left = self._search()
-        unexplained = [self._unexplained(left)] if left else []
-        faults = (*known, *unexplained)
+        velocities = check_velocities(
+            self.names, whole.times, whole.q[:, self.index], whole.qd[:, self.index]
+        )
+        known, left, is_signed = self._search()
+        checks = {
+            name: _check(bool(is_signed[c]), bool(velocities.compared[c]), bool(self.moves[c]))
+            for c, name in enumerate(self.names)
+        }
+        common = replace(common, checks=checks)
+        known = [*velocities.faults, *known]
+        faults = (*known, *([self._unexplained(left)] if left else []))
         if not known and self._may_be_friction(left):
             return replace(
                 common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.AT_REST, faults=faults
             )
         if faults:
             return replace(common, outcome=Outcome.DIFFER, faults=faults)
-        if not self.is_checked.any():
+        if not self.is_large.any() and not is_signed.any():
             return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.SMALL_EFFORTS)
         return common
 
-    def _search(self) -> tuple[list[Fault], dict[int, float]]:
-        """Return the identified faults, and the residuals that are still large, by joint index."""
+    def _search(self) -> tuple[list[Fault], dict[int, float], Booleans]:
+        """
+        Return the faults, the residuals that are still large, and joints that show their sign.
+
+        The residuals are by joint index. The mask of the joints has the shape (c,).
+        """
         constant = np.flatnonzero(self.silent).tolist()
-        silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
-        data = self._regression_data(np.ones(len(self.searched)))
-        fit = data.friction_only()
+        faults = constant_fault({self.names[c]: float(self.measured[0, c]) for c in constant})
+        is_signed = np.zeros(len(self.names), dtype=bool)
+        if not len(self.searched):
+            return faults, {}, is_signed
+        search = Search(self._rows(), is_brief=True)
+        fit = search.without_faults()
         left = self._exceeding(fit, AGREEMENT)
-        if not self._exceeding(fit, SUSPICIOUS):
-            return silent, left
-        names = [self.names[c] for c in self.searched]
-        axes = search_axes(data, self._regression_data)
-        found = axes.robot_fit
-        faults = [
-            fault
-            for fault in [*diagnose_axes(data, axes, names), *diagnose(axes.data, found, names)]
-            if fault.kind is not FaultKind.UNEXPLAINED and (left or fault.kind in GRAVE)
-        ]
-        return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
+        if self._exceeding(fit, SUSPICIOUS):
+            fit = search.best()
+            names = [self.names[c] for c in self.searched]
+            found = [
+                fault
+                for fault in faults_of(search, fit, names)
+                if fault.kind not in (FaultKind.UNEXPLAINED, FaultKind.BODIES)
+                and (left or fault.kind in GRAVE)
+            ]
+            faults += found
+            left = self._exceeding(fit, AGREEMENT, True) if found else left
+        is_signed[self.searched] = [search.shows_sign(fit, j) for j in range(len(self.searched))]
+        return faults, left, is_signed
 
     def _floor(self) -> Floats:
         """Return the thresholds below which residuals are ignored, shape (c,) [N m or N]."""
@@ -336,71 +368,56 @@ class _Comparison:
         floor = np.maximum(floor, LEAST_FLOOR * finite)
         return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
 
-    def _regression_data(self, signs: Floats) -> RegressionData:
-        """Return the data of joints with measured efforts, given the signs of the axes."""
-        robot, times = self.dynamics.robot, self.whole.times
-        q, qd = np.nan_to_num(self.whole.q), np.nan_to_num(self.whole.qd)
-        qdd: Floats = np.gradient(qd, times, axis=0)
-        duration = float(times[-1] - times[0])
-        period = duration / (len(times) - 1)
-        some, index = self.some, self.index[self.searched]
-        every = np.ones(q.shape[1])
-        every[index] = signs
-        modelled = self.modelled[some, self.searched]
-        states = q[some], qd[some], qdd[some]
-        if (signs < 0.0).any():
-            modelled = signs * (modelled - self._rigid(*states)[:, index])
-            q, qd, qdd = every * q, every * qd, every * qdd
-            states = q[some], qd[some], qdd[some]
-            modelled += self._rigid(*states)[:, index]
+    def _rows(self) -> Rows:
+        """Return the rows of joints with measured efforts."""
+        whole, robot, some = self.whole, self.dynamics.robot, self.some
+        q, qd = np.nan_to_num(whole.q), np.nan_to_num(whole.qd)
+        qdd: Floats = np.gradient(qd, whole.times, axis=0)
+        index = self.index[self.searched]
         speeds = qd[:, index]
-        moves = [
-            not lacks_reversal(speed, period, FRICTION_WIDTH, LEAST_MOVING * duration)
-            for speed in speeds.T
-        ]
-        links = loaded_links(robot, q)
-        joints = sample_joints(
-            self.dynamics,
-            times[some],
-            states,
-            links,
-            index.tolist(),
-            measured=signs * self.measured[some, self.searched],
-            modelled=modelled,
-            gravity=self.dynamics.gravity_efforts(states[0])[:, index],
+        fast = is_moving(speeds, FRICTION_WIDTH)
+        moves = fast.mean(axis=0) > LEAST_MOVING
+        measured = self.measured[some][:, self.searched]
+        signals = Signals(
+            joints=tuple(index.tolist()),
+            times=whole.times[some],
+            q=q[some],
+            qd=qd[some],
+            qdd=qdd[some],
+            measured=measured,
+            added=np.zeros_like(measured),
             direction=np.tanh(speeds[some] / FRICTION_WIDTH),
-            used=[
-                is_moving(speed[some], FRICTION_WIDTH) | (not moved)
-                for speed, moved in zip(speeds.T, moves, strict=True)
-            ],
+            rate=np.zeros_like(measured),
+            used=fast[some] | ~moves,
             moves=moves,
+            independent=float(whole.times[-1] - whole.times[0]) / INDEPENDENT,
             noise=self.floor[self.searched] / NOISE_FLOOR,
+            dry=self.floor[self.searched] / REST_FACTOR,
         )
-        # A payload in the node may be heavier than the link that carries the payload.
-        heaviest = float(np.sum(robot.mass))
-        return RegressionData(
-            joints,
-            dict.fromkeys(links, heaviest),
-            heaviest,
-            self.dynamics.gravity,
-            duration / INDEPENDENT,
-            duration,
-            LEAST_DURATION,
-            self.convention,
-        )
+        rows = Rows(self.dynamics, signals, loaded_links(robot, q), self.convention)
+        states = signals.q, signals.qd, signals.qdd
+        rigid = rows.rigid(states, self.convention.in_measured)
+        modelled = self.modelled[some][:, self.searched]
+        return rows.at(signals._replace(added=modelled - rigid))
 
-    def _rigid(self, *states: Floats) -> Floats:
-        """Return the modelled efforts, with gravity if the measured efforts contain gravity."""
-        efforts = self.dynamics.efforts(*states)
-        if not self.convention.in_measured:
-            efforts = efforts - self.dynamics.gravity_efforts(states[0])
-        return efforts
+    def _exceeding(self, fit: Fit, fraction: float, has_drives: bool = False) -> dict[int, float]:
+        """
+        Return the residuals [N m or N] above a fraction of the effort, worst first.
 
-    def _exceeding(self, robot_fit: RobotFit, fraction: float) -> dict[int, float]:
-        """Return the residuals [N m or N] above a fraction of the effort, worst first."""
+        Friction is fitted, but not the bodies. Rotors and offsets are fitted if `has_drives` is
+        true.
+        """
+        at, used = fit.columns.at, np.isfinite(fit.residual)
+        left_out = [*at.bodies]
+        if not has_drives:
+            left_out.append(at.drive[ROTOR])
+        if not has_drives or not fit.hypothesis.has_offsets:
+            left_out.append(at.drive[OFFSET])
+        part = fit.columns.matrix[:, :, left_out] @ fit.solution[:, left_out, None]
+        residuals = rms(np.where(used, fit.residual - part[..., 0].T, 0.0))
+        residuals = residuals * np.abs(fit.hypothesis.factor(len(self.searched)))
         found = {}
-        for c, fit in zip(self.searched.tolist(), robot_fit.fits, strict=True):
-            residual = float(np.sqrt(fit.remaining) * rms(self.measured)[c])
+        for c, residual in zip(self.searched.tolist(), residuals.tolist(), strict=True):
             if residual > max(self.floor[c], fraction * self.effort[c]):
                 found[c] = residual
         return dict(sorted(found.items(), key=lambda each: -each[1] / self.effort[each[0]]))
@@ -435,8 +452,13 @@ class _Comparison:
             if (same := self.is_prismatic == kind).any()
         )
 
-    def _names(self, selected: Booleans) -> tuple[str, ...]:
-        return tuple(self.names[c] for c in np.flatnonzero(selected))
+
+def _check(is_signed: bool, is_compared: bool, moves: bool) -> Check:
+    if is_signed and is_compared:
+        return Check.DONE
+    if is_signed:
+        return Check.NOT_MOVED
+    return Check.FAINT if is_compared and moves else Check.NO_WEIGHT
 
 
 # ---- The verdict ---------------------------------------------------------------------------
@@ -445,12 +467,6 @@ class _Comparison:
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default rate of ros2_control is 100 Hz
 OF_GIVEN_RATE = 0.8  # smallest fraction of the rate that the user gave
 OF_UPDATE_RATE = 0.5  # smallest fraction of update_rate, because many drivers are slow
-
-LEAST_CHECKED = 0.25
-"""
-Smallest fraction of the commanded joints that must be checked. In a random pose at rest, gravity
-acts mainly on two of the six joints of a UR arm. One checked joint says little about the others.
-"""
 
 
 class StateRate(NamedTuple):
@@ -540,14 +556,43 @@ def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSam
 def _completed(
     agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
 ) -> Agreement:
-    """Add unmeasured and saturated joints, and change the outcome if few joints were checked."""
-    compared = (*agreement.checked, *agreement.unchecked)
-    unmeasured = tuple(joint for joint in commanded if compared and joint not in compared)
-    agreement = replace(agreement, saturated=tuple(saturated), unmeasured=unmeasured)
-    count = len(set(commanded) & set(agreement.checked))
-    if agreement.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
-        numbers = (float(count), float(len(commanded)))
-        return replace(
-            agreement, outcome=Outcome.FEW_JOINTS, obstacle=Obstacle.FEW_JOINTS, numbers=numbers
-        )
-    return agreement
+    """Add saturated joints, and the checks of all commanded joints."""
+    checks = agreement.checks
+    if checks:
+        joints = commanded or list(checks)
+        checks = {joint: checks.get(joint, Check.NOT_MEASURED) for joint in joints}
+    return replace(agreement, saturated=tuple(saturated), checks=checks)
+
+
+# ---- The gate ------------------------------------------------------------------------------
+
+
+class Gate:
+    """
+    Collects the results of a whole run.
+
+    A joint that was checked once stays checked. A difference stays a difference. `accepted` are
+    joints that need no check.
+    """
+
+    def __init__(self, accepted: Sequence[str] = ()) -> None:
+        self.accepted = tuple(accepted)
+        self._done: set[str] = set()
+        self._difference: Agreement | None = None
+
+    def add(self, agreement: Agreement) -> Agreement:
+        """Return the result of the run so far, given the latest result of the window."""
+        self._done |= {name for name, check in agreement.checks.items() if check is Check.DONE}
+        checks = {
+            name: Check.DONE if name in self._done else check
+            for name, check in agreement.checks.items()
+            if name not in self.accepted
+        }
+        agreement = replace(agreement, checks=checks)
+        if agreement.outcome is Outcome.DIFFER and agreement.faults:
+            self._difference = agreement
+        elif self._difference is not None:
+            return replace(self._difference, is_past=True)
+        if agreement.outcome is Outcome.AGREE and agreement.unchecked:
+            return replace(agreement, outcome=Outcome.NOT_CHECKED, obstacle=Obstacle.NOT_CHECKED)
+        return agreement

@@ -1,9 +1,4 @@
-"""
-Fits the mass and the centre of mass of an unknown payload.
-
-A point mass m at position c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts. ``Y_m``,
-``Y_c`` and ``Y_cc`` are the efforts per unit of ``m``, ``m c`` and ``m c c^T``.
-"""
+"""Links that may carry an unknown payload, and limits of credible payloads."""
 
 from __future__ import annotations
 
@@ -16,7 +11,6 @@ PARAMETERS = 10  # one for m, three for m c, six for m c c^T
 MOST_LINKS = 6  # largest number of links to try
 MOVED = 0.02  # [rad or m]; a joint that moved less does not reveal a load
 MAX_REACH = 0.5  # [m], largest distance from the link to the centre of mass of a payload
-USUAL_REACH = 0.2  # [m], assumed standard deviation of each coordinate of the centre of mass
 MAX_COM_ERROR = 0.05  # [m]; coordinates with a larger standard error are reported as unknown
 
 
@@ -55,45 +49,3 @@ def point_mass_parameters(mass: float, com: Floats) -> Floats:
     """Return the parameters of a point mass in the order of `payload_columns`, shape (10,)."""
     x, y, z = com
     return mass * np.array([1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
-
-
-def fit_payload(
-    regressors: Floats, residual: Floats, sample_count: float
-) -> tuple[Floats, Floats]:
-    """
-    Fit a point mass to residual efforts that have equal variances.
-
-    The regressors have the shape (rows, 10). Return mass [kg] and centre of mass [m], shape (4,),
-    and their standard errors, shape (4,). `sample_count` is the number of independent samples.
-    """
-    from scipy.optimize import least_squares
-
-    linear = np.linalg.lstsq(regressors[:, :4], residual, rcond=1e-9)[0]
-    mass = linear[0] if abs(linear[0]) > 1e-6 else 1e-6
-    start = np.array([mass, *np.clip(linear[1:] / mass, -0.5, 0.5)])
-
-    def remaining(solution: Floats) -> Floats:
-        efforts = regressors @ point_mass_parameters(float(solution[0]), solution[1:])
-        return np.append(efforts - residual, solution[1:] / USUAL_REACH)
-
-    def derivatives(solution: Floats) -> Floats:
-        mass, (x, y, z) = float(solution[0]), solution[1:]
-        moments = np.array(
-            [
-                [1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z],
-                [0.0, mass, 0.0, 0.0, 2.0 * mass * x, 0.0, 0.0, mass * y, mass * z, 0.0],
-                [0.0, 0.0, mass, 0.0, 0.0, 2.0 * mass * y, 0.0, mass * x, 0.0, mass * z],
-                [0.0, 0.0, 0.0, mass, 0.0, 0.0, 2.0 * mass * z, 0.0, mass * x, mass * y],
-            ]
-        )
-        return np.vstack([regressors @ moments.T, np.eye(4)[1:] / USUAL_REACH])
-
-    scale = [max(abs(mass), 0.1), 0.1, 0.1, 0.1]
-    found = least_squares(remaining, start, derivatives, method='lm', x_scale=scale)
-    variance = 2.0 * found.cost / max(sample_count - 4.0, 1.0)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12) * variance
-    # A parameter without effect is unknown, but the formula gives a standard error of zero.
-    effect = np.linalg.norm(found.jac, axis=0)
-    errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    errors[effect <= 1e-9 * np.max(effect)] = np.inf
-    return found.x, errors

@@ -2,50 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
+from ..columns import friction_columns, STATES_AT_ONCE
+from ..recordings.resampling import pieces, smooth_like_efforts
 from ..recordings.signals import derive, Motion, Recording, rms, without_turns
-from .bodies import CERTAIN, fit_bodies
-from .compared_efforts import (
-    added_efforts,
-    as_recorded,
-    ComparedEfforts,
-    CONSTANT,
-    corrected_efforts,
-    fit_joints,
-    friction_efforts,
-    obscured,
-    with_shapes,
-)
-from .diagnoses import (
-    Axes,
-    decreases,
-    diagnose,
-    diagnose_axes,
-    diagnose_constant,
-    diagnose_interval,
-    diagnose_positions,
-    search_axes,
-)
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
-from .friction import FrictionFit, is_moving
-from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
-from .joint_samples import unexplained_fraction
-from .regression_data import RegressionData, RobotFit
+from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
+from .loads import loaded_links
+from .rows import Rows, Signals
+from .search import Fit, Search
+from .simple_faults import constant_fault, not_measured, positions_fault
+from .statements import faults_of
 
-REVERSED = 0.7  # with fitted links, reversed axes leave at most this fraction of the squares
-MIN_DELAY, MAX_DELAY = 0.01, 0.3  # [s]; delays between these limits are reported
-SMALL_STEP = 0.001  # [s]; the search for a delay ends at a smaller change
-DELAY_ROUNDS = 5  # largest number of linear estimates of a delay
+SAMPLES = 600  # approximate number of samples that the search uses
+MIN_DURATION = 4.0  # [s]; in shorter recordings, a fit may be good by chance
+WIDTH = 0.03  # [rad/s or m/s]; speed over which the search smooths Coulomb friction
+LEAST_MOVING = 0.05  # fraction of the samples in which a joint moves, if it moves
+INERTIAS = 50  # approximate number of mass matrices for the estimate of noise
+CONSTANT = 1e-9  # variations below this fraction of the largest effort are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +117,18 @@ class ComparisonResult:
         )
 
 
+def unexplained_fraction(
+    remaining: Sequence[float], squares: Sequence[float], is_prismatic: Sequence[bool]
+) -> float:
+    """Return the unexplained fraction of the squared efforts, averaged over both joint types."""
+    left, whole = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+    for part, square, kind in zip(remaining, squares, is_prismatic, strict=True):
+        left[kind] += part
+        whole[kind] += square
+    fractions = [left[kind] / whole[kind] for kind in whole if whole[kind]]
+    return float(np.mean(fractions)) if fractions else math.nan
+
+
 def diagnose_recording(
     dynamics: InverseDynamics,
     recording: Recording,
@@ -156,7 +151,7 @@ def diagnose_recording(
         robot.link_index(link)  # raises if the link does not exist
     index = _indices(recording.joint_names, robot)
     motion = derive(without_turns(robot, recording))
-    return _result(ComparedEfforts(dynamics, motion, index, link, FRICTION_WIDTH, convention))
+    return _Comparison(dynamics, motion, index, link, convention).result()
 
 
 def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
@@ -171,209 +166,278 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     return [robot.joint_names.index(name) for name in names]
 
 
-def _result(recorded: ComparedEfforts) -> ComparisonResult:
-    found = _search(recorded)
-    compared, robot_fit, fault = found.compared, found.robot_fit, found.interval
-    measured, efforts = corrected_efforts(compared, robot_fit, fault)
-    used = np.ones(len(efforts), dtype=bool)
-    if fault is not None and fault.kind is FaultKind.EXTERNAL_FORCE:
-        used = ~compared.inside(fault)
-    unknown = obscured(compared, robot_fit)
-    fits = fit_joints(compared, measured[used] - efforts[used], unknown, used)
-    load = np.abs(compared.rigid + added_efforts(compared, robot_fit))
-    if fault is None:
-        fits = with_shapes(compared, fits, measured - efforts, load)
-    for c, fit in enumerate(fits):
-        efforts[:, c] += friction_efforts(compared, c, fit, load[:, c])
-    corrected = as_recorded(compared, efforts, robot_fit)
-    corrected = compared.distorted(corrected, found.signs, found.delay)
-    # If the friction of a joint is unknown, all samples are compared.
-    when = [
-        used if fit.unknown_because else used & is_moving(recorded.qd[:, c], recorded.width)
-        for c, fit in enumerate(fits)
-    ]
-    plain = fit_joints(recorded, recorded.measured - recorded.rigid, {})
-    moving = [c for c in recorded.varying if recorded.moves(c)]
-    return ComparisonResult(
-        motion=recorded.motion,
-        compared=tuple(recorded.compared),
-        joints=tuple(
-            _joint_residual(recorded, c, fits[c], plain[c], corrected[:, c], when[c])
-            for c in range(len(fits))
-        ),
-        measured=recorded.measured,
-        modelled=recorded.modelled,
-        corrected=corrected,
-        faults=found.faults,
-        width=recorded.width,
-        is_too_short=found.data.is_too_short,
-        moving=tuple(moving or recorded.varying),
-    )
-
-
-class _Found(NamedTuple):
-    """The explanation of a recording."""
-
-    compared: ComparedEfforts
-    """Efforts after reversed axes and the delay were corrected."""
-    data: RegressionData
-    robot_fit: RobotFit
-    faults: tuple[Fault, ...]
-    signs: Floats
-    """Signs of the joint axes, shape (m,): -1 for reversed axes, and 1 for other axes."""
-    delay: float = 0.0
-    """Delay of the efforts [s]."""
-    interval: FaultInterval | None = None
-
-
-def _search(recorded: ComparedEfforts) -> _Found:
-    """Find faults that explain the recorded efforts."""
-    motion, names = recorded.motion, [recorded.names[c] for c in recorded.varying]
-    constant = {recorded.names[c]: float(recorded.measured[0, c]) for c in recorded.constant}
-    silent = diagnose_constant(constant)
-    data = recorded.regression_data()
-    every = np.ones(len(motion.joint_names))
-    positions = diagnose_positions(recorded.robot, motion.q, motion.joint_names)
-    if positions:  # wrong positions would make all other results wrong
-        return _Found(recorded, data, data.friction_only(), (*positions, *silent), every)
-
-    def undistorted(signs: Floats, delay: float = 0.0) -> ComparedEfforts:
-        return recorded.undistorted(_of_motion(recorded, signs), delay)
-
-    def with_signs(signs: Floats) -> RegressionData | None:
-        other = undistorted(signs)
-        return other.regression_data() if other.varying == recorded.varying else None
-
-    axes = search_axes(data, with_signs)
-    if (axes.signs < 0.0).any():
-        axes = _confirmed(undistorted, axes, Axes(np.ones(len(names)), data, data.explain()))
-    compared, delay = undistorted(axes.signs), _delay(partial(undistorted, axes.signs), axes)
-    faults, robot_fit, late = diagnose_axes(data, axes, names), axes.robot_fit, axes.data
-    if delay:
-        compared = undistorted(axes.signs, delay)
-        late = compared.regression_data()
-        robot_fit = late.explain()
-        faults.append(Fault(FaultKind.DELAY, values=(delay,)))
-    late, robot_fit, others, interval = _beside_links(compared, late, robot_fit)
-    faults = [*silent, *faults, *others]
-    signs = _of_motion(recorded, axes.signs)
-    return _Found(compared, late, robot_fit, tuple(faults), signs, delay, interval)
-
-
-def _confirmed(
-    undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
-) -> Axes:
-    """Return `reversed_` if it clearly improves a fit of inertial parameters, else `recorded`."""
-    left = []
-    for each in (reversed_, recorded):
-        bodies = fit_bodies(undistorted(each.signs), each.data, each.robot_fit)
-        left.append(math.inf if bodies is None else bodies.unexplained_anywhere)
-    return recorded if left[0] > REVERSED * left[1] else reversed_
-
-
-def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float:
-    """Return the delay of the efforts [s], or 0 if the delay is small or uncertain."""
-    data, robot_fit, delay = axes.data, axes.robot_fit, 0.0
-    for _ in range(DELAY_ROUNDS):
-        compared = undistorted(delay)
-        if delay:
-            data = compared.regression_data()
-            robot_fit = data.refit(robot_fit)
-        bodies = fit_bodies(compared, data, robot_fit)
-        if bodies is None or abs(delay) > MAX_DELAY:
-            return 0.0
-        delay += bodies.delay
-        if abs(delay) < max(0.5 * MIN_DELAY, CERTAIN * bodies.delay_error):
-            return 0.0
-        if abs(bodies.delay) < SMALL_STEP:
-            break
-    return delay if abs(delay) > MIN_DELAY else 0.0
-
-
-def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Return signs for all joints of the motion, with 1 for joints without varying efforts."""
-    every = np.ones(len(compared.motion.joint_names))
-    every[[compared.compared[c] for c in compared.varying]] = signs
-    return every
-
-
-def _beside_links(
-    compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
-) -> tuple[RegressionData, RobotFit, list[Fault], FaultInterval | None]:
-    """Explain the efforts, if necessary by wrong inertial parameters or a temporary cause."""
-    names = [compared.names[c] for c in compared.varying]
-    fault = find_fault_interval(data, robot_fit)
-    bodies = fit_bodies(compared, data, robot_fit)
-    nearer, faults = compared, []
-    if bodies is not None and bodies.explain_more(data, robot_fit, fault):
-        nearer = compared.with_bodies(bodies.change, bodies.has_own_gravity)
-        data = nearer.regression_data()
-        robot_fit = data.refit(bodies.robot_fit)
-        fault = bodies.confirmed(find_fault_interval(data, robot_fit))
-        if bodies.are_wrong:
-            changes = decreases(data, names, bodies.before, bodies.after)
-            faults = [Fault(FaultKind.BODIES, changes=changes)]
-    if fault is not None:
-        fault = _refined(nearer, fault)
-        data, robot_fit = fault.data, fault.outside
-    if compared.varying and (fault is None or fault.kind is FaultKind.EXTERNAL_FORCE):
-        faults = diagnose(data, robot_fit, names) + faults
-    if fault is not None:
-        faults.insert(0, diagnose_interval(fault, names))
-    return data, robot_fit, faults, fault
-
-
-def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
-    """Return the fault with an interval that is accurate to a single sample."""
-    if fault.kind is FaultKind.MOUNTING:
-        return fault
-    is_force = fault.kind is FaultKind.EXTERNAL_FORCE
-    measured, efforts = corrected_efforts(
-        compared, fault.outside._replace(candidate=fault.data.nominal)
-    )
-    load = np.zeros_like(efforts) if is_force else added_efforts(compared, fault.outside)
-    gain = np.zeros(len(efforts))
-    for j, c in enumerate(compared.varying):
-        fit = fault.outside.fits[j]
-        if not fit.moves or (is_force and j not in fault.joints):
-            continue
-        left = measured[:, c] - efforts[:, c] - fit.offset
-        left -= fit.friction(compared.qd[:, c], compared.direction[:, c])
-        variance = max((fit.rms / fault.outside.factor(j)) ** 2, 1e-12)
-        after = MUCH_LOUDER * variance if is_force else (left - load[:, c]) ** 2
-        gain += (left**2 - after) / variance
-    return fault._replace(interval=best_interval(compared.motion.times, gain, fault.interval))
-
-
-def _joint_residual(
-    compared: ComparedEfforts,
-    c: int,
-    friction: FrictionFit,
-    plain: FrictionFit,
-    corrected: Floats,
-    when: Booleans,
-) -> JointResidual:
+class _Comparison:
     """
-    Compare the efforts of one joint in the samples that the mask `when` selects.
+    Measured and modelled efforts at K times, with one column for each of c compared joints.
 
-    `plain` is the friction that was fitted without a correction of faults.
+    `index` contains the indices of the m joints of the motion in ``robot.joint_names``.
     """
-    measured, modelled = compared.measured[when, c], compared.modelled[when, c]
-    rubbing = plain.friction(compared.qd[when, c], compared.direction[when, c])
-    is_varying = c in compared.varying
-    has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
-    scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
-    return JointResidual(
-        name=compared.names[c],
-        is_prismatic=bool(compared.robot.is_prismatic_joint[compared.index[c]]),
-        rms_measured=float(rms(measured)),
-        rms_modelled=float(rms(modelled)),
-        rms_residual=float(rms(measured - modelled)),
-        rms_friction=float(rms(measured - compared.rigid[when, c] - rubbing)),
-        rms_corrected=float(rms(measured - corrected[when])),
-        noise=math.nan if math.isfinite(compared.motion.cut_off) else float(compared.noise[c]),
-        scale=float(scale),
-        offset=float(offset),
-        friction=friction,
-        is_varying=is_varying,
-    )
+
+    def __init__(
+        self,
+        dynamics: InverseDynamics,
+        motion: Motion,
+        index: list[int],
+        link: str | None,
+        convention: GravityConvention,
+    ) -> None:
+        self.dynamics, self.motion, self.robot = dynamics, motion, dynamics.robot
+        self.link, self.convention = link, convention
+        q, qd, qdd = np.zeros((3, len(motion.times), len(self.robot.joint_names)))
+        q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
+        self.states = q, qd, qdd
+        self.compared = np.flatnonzero(np.isfinite(motion.efforts).all(axis=0)).tolist()
+        self.index = [index[j] for j in self.compared]
+        self.names = [motion.joint_names[j] for j in self.compared]
+        self.measured = motion.efforts[:, self.compared]
+        self.qd = motion.qd[:, self.compared]
+        self.direction = smooth_like_efforts(motion, np.tanh(self.qd / FRICTION_WIDTH))
+        terms = dynamics.effort_terms(*self.states)
+        self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
+        if not convention.in_measured:
+            self.modelled = self.modelled - terms.gravity[:, self.index]
+        # Friction is fitted again, so these efforts exclude the friction of the dynamics.
+        self.rigid: Floats = self.modelled - terms.friction[:, self.index]
+        self.moves = [not obstacle(x, motion.period, FRICTION_WIDTH) for x in self.qd.T]
+        largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
+        variation = np.ptp(self.measured, axis=0)
+        self.varying = np.flatnonzero(variation > CONSTANT * largest).tolist()
+
+    @property
+    def is_too_short(self) -> bool:
+        """Whether a fit may be good by chance."""
+        return len(self.motion.times) * self.motion.period < MIN_DURATION
+
+    def result(self) -> ComparisonResult:
+        """Diagnose the differences, fit friction, and compare all joints."""
+        least = 0.01 * float(np.max(np.abs(self.rigid)))
+        constant = np.flatnonzero(not_measured(self.measured, self.rigid, least)).tolist()
+        silent = constant_fault({self.names[c]: float(self.measured[0, c]) for c in constant})
+        reasons = dict.fromkeys(constant, 'the effort of this joint was not measured')
+        faults = positions_fault(self.robot, self.motion.q, self.motion.joint_names)
+        measured, efforts = self.measured, self.rigid.copy()
+        recorded: Callable[[Floats], Floats] = np.copy
+        load, used = np.abs(self.rigid), np.ones(len(efforts), dtype=bool)
+        if not faults and self.varying and not self.is_too_short:
+            signals = self._signals()
+            rows = Rows(self.dynamics, signals, self._links(), self.convention)
+            search = Search(rows, can_be_late=math.isinf(self.motion.cut_off))
+            fit = search.best()
+            faults = faults_of(search, fit, [self.names[c] for c in self.varying])
+            reasons |= self._obscured(search, fit, faults)
+            measured, efforts, recorded = self._corrected(search, fit)
+            load = np.abs(efforts)
+            for c, rotor in self._rotors(faults).items():
+                efforts[:, c] += rotor * self.states[2][:, self.index[c]]
+            window = fit.hypothesis.window
+            if window is not None and window.kind == 'push':
+                used = ~window.inside(self.motion.times)
+        fits = self._friction(measured - efforts, reasons, used)
+        if used.all():
+            fits = self._shapes(fits, measured - efforts, load)
+        for c, friction in enumerate(fits):
+            efforts[:, c] += self._friction_efforts(c, friction, load[:, c])
+        corrected = recorded(efforts)
+        plain = self._friction(self.measured - self.rigid, {}, np.ones_like(used))
+        moving = [c for c in self.varying if self.moves[c]]
+        return ComparisonResult(
+            motion=self.motion,
+            compared=tuple(self.compared),
+            joints=tuple(
+                self._residual(c, fits[c], plain[c], corrected[:, c], used)
+                for c in range(len(fits))
+            ),
+            measured=self.measured,
+            modelled=self.modelled,
+            corrected=corrected,
+            faults=(*silent, *faults),
+            width=FRICTION_WIDTH,
+            is_too_short=self.is_too_short,
+            moving=tuple(moving or self.varying),
+        )
+
+    # ---- Rows ----------------------------------------------------------------------------
+
+    def _links(self) -> tuple[str, ...]:
+        return loaded_links(self.robot, self.states[0], self.link)
+
+    def _signals(self, every: bool = False) -> Signals:
+        """Return the samples for the search, or all samples."""
+        motion, count = self.motion, len(self.motion.times)
+        some = slice(None, None, 1 if every else max(1, count // SAMPLES))
+        measured, qd = self.measured[:, self.varying], self.qd[:, self.varying]
+        rates = [
+            np.gradient(measured[a:b], motion.times[a:b], axis=0) for a, b in pieces(motion.times)
+        ]
+        fast = is_moving(qd, WIDTH)[some]
+        moves = fast.mean(axis=0) > LEAST_MOVING
+        q, qd_all, qdd = (x[some] for x in self.states)
+        return Signals(
+            joints=tuple(self.index[c] for c in self.varying),
+            times=motion.times[some],
+            q=q,
+            qd=qd_all,
+            qdd=qdd,
+            measured=measured[some],
+            added=np.zeros_like(measured[some]),
+            direction=smooth_like_efforts(motion, np.tanh(qd / WIDTH))[some],
+            rate=np.concatenate(rates)[some],
+            used=fast | ~moves,
+            moves=moves,
+            independent=min(count / motion.window, 2.0 * motion.cut_off * motion.period * count),
+            noise=self._noise[self.varying],
+            dry=np.zeros(len(self.varying)),
+        )
+
+    def _obscured(self, search: Search, fit: Fit, faults: list[Fault]) -> dict[int, str]:
+        """Return reasons why the friction of joints is unknown, keyed by joint index."""
+        reasons = {}
+        has_scale = any(fault.kind is FaultKind.SCALE for fault in faults)
+        left, shown = search.unexplained(fit), search.shows_scale(fit)
+        for j, c in enumerate(self.varying):
+            if left[j]:
+                reasons[c] = 'the model does not explain the effort of this joint'
+            elif has_scale and not shown[j]:
+                reasons[c] = 'the effort of this joint is in an unknown unit'
+        return reasons
+
+    def _rotors(self, faults: list[Fault]) -> dict[int, float]:
+        """Return the rotor inertias of the faults, by joint index."""
+        return {
+            self.names.index(name): value
+            for fault in faults
+            if fault.kind is FaultKind.ROTOR_INERTIA
+            for name, value in zip(fault.joints, fault.values, strict=True)
+        }
+
+    # ---- Corrected efforts ---------------------------------------------------------------
+
+    def _corrected(
+        self, search: Search, fit: Fit
+    ) -> tuple[Floats, Floats, Callable[[Floats], Floats]]:
+        """
+        Return corrected measured efforts, and the efforts that explain them without friction.
+
+        Both have the shape (K, c). The function in the result applies signs, units, order and
+        delay of the recording to efforts.
+        """
+        h, varying = fit.hypothesis, np.array(self.varying)
+        signs = np.ones(len(varying))
+        signs[list(h.axes)] = -1.0
+        factor, source = signs * h.factor(len(varying)), varying[h.order(len(varying))]
+        delay = float(fit.shared['delay'][0]) if h.is_late else 0.0
+        measured, efforts = self.measured.copy(), self.rigid.copy()
+        measured[:, varying] = self._later(self.measured[:, source], delay) / factor
+        signals = self._signals(every=True)
+        for k in range(0, len(efforts), STATES_AT_ONCE):
+            some = slice(k, k + STATES_AT_ONCE)
+            efforts[some, varying] = search.explained(fit, signals.part(some))
+
+        def recorded(efforts: Floats) -> Floats:
+            found: Floats = efforts.copy()
+            found[:, source] = self._later(factor * efforts[:, varying], -delay)
+            return found
+
+        return measured, efforts, recorded
+
+    def _later(self, efforts: Floats, delay: float) -> Floats:
+        """Interpolate the efforts at the sample times plus a delay [s]."""
+        if not delay:
+            return efforts
+        parts = []
+        for begin, end in pieces(self.motion.times):
+            times = self.motion.times[begin:end]
+            columns = [np.interp(times + delay, times, column) for column in efforts[begin:end].T]
+            parts.append(np.stack(columns, axis=1))
+        return np.concatenate(parts)
+
+    # ---- Friction ------------------------------------------------------------------------
+
+    def _friction(
+        self, residual: Floats, reasons: dict[int, str], used: Booleans
+    ) -> list[FrictionFit]:
+        """Fit the friction of each joint to the residuals of the used samples."""
+        fits = []
+        for c in range(len(self.names)):
+            fit = fit_friction(
+                self.qd[used, c],
+                self.direction[used, c],
+                residual[used, c],
+                self.motion.period,
+                self.motion.window,
+                FRICTION_WIDTH,
+            )
+            if c in reasons:
+                fit = FrictionFit.unknown(reasons[c], fit.offset if fit.unknown_because else 0.0)
+            fits.append(fit)
+        return fits
+
+    def _shapes(
+        self, fits: list[FrictionFit], residual: Floats, load: Floats
+    ) -> list[FrictionFit]:
+        """Fit smoothing widths and load-dependent friction, given gear loads of shape (K, c)."""
+        smooth = partial(smooth_like_efforts, self.motion)
+        return [
+            fit_shape(
+                fit,
+                self.qd[:, c],
+                residual[:, c],
+                load[:, c],
+                smooth,
+                FRICTION_WIDTH,
+                self.motion.window,
+            )
+            for c, fit in enumerate(fits)
+        ]
+
+    def _friction_efforts(self, c: int, fit: FrictionFit, load: Floats) -> Floats:
+        """Return friction plus offset of one joint, given the load on the gear."""
+        qd = self.qd[:, c]
+        if not fit.has_shape:
+            return fit.friction(qd, self.direction[:, c]) + fit.offset
+        smooth = partial(smooth_like_efforts, self.motion)
+        factors = np.array([fit.damping, fit.coulomb, fit.load_friction, fit.offset])
+        return np.asarray(friction_columns(qd, fit.width, load, smooth) @ factors)
+
+    def _residual(
+        self, c: int, fit: FrictionFit, plain: FrictionFit, corrected: Floats, used: Booleans
+    ) -> JointResidual:
+        """
+        Compare the efforts of one joint in the used samples.
+
+        `plain` is the friction that was fitted without a correction of faults.
+        """
+        # If the friction of a joint is unknown, all samples are compared.
+        when = used if fit.unknown_because else used & is_moving(self.qd[:, c], FRICTION_WIDTH)
+        measured, modelled = self.measured[when, c], self.modelled[when, c]
+        rubbing = plain.friction(self.qd[when, c], self.direction[when, c])
+        is_varying = c in self.varying
+        has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
+        scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
+        is_filtered = math.isfinite(self.motion.cut_off)
+        noise = math.nan if is_filtered else float(self._noise[c])
+        return JointResidual(
+            name=self.names[c],
+            is_prismatic=bool(self.robot.is_prismatic_joint[self.index[c]]),
+            rms_measured=float(rms(measured)),
+            rms_modelled=float(rms(modelled)),
+            rms_residual=float(rms(measured - modelled)),
+            rms_friction=float(rms(measured - self.rigid[when, c] - rubbing)),
+            rms_corrected=float(rms(measured - corrected[when])),
+            noise=noise,
+            scale=float(scale),
+            offset=float(offset),
+            friction=fit,
+            is_varying=is_varying,
+        )
+
+    @cached_property
+    def _noise(self) -> Floats:
+        """Standard deviation of the noise in each residual, shape (c,) [N m or N]."""
+        some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
+        inertia = self.dynamics.mass_matrix(self.states[0][some])
+        moved = [self.robot.joint_names.index(name) for name in self.motion.joint_names]
+        modelled: Floats = inertia[:, :, moved] * self.motion.qdd_noise
+        squares: Floats = np.mean(np.sum(modelled**2, axis=-1), axis=0)
+        noise = self.motion.effort_noise[self.compared]
+        return np.asarray(np.hypot(np.sqrt(squares[self.index]), noise))
