@@ -27,6 +27,7 @@ from inverse_dynamics_node.report.diagnosis_text import headline
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 from robot_files import real_robots, ROOT, STANFORD
+from scipy.signal import butter, sosfiltfilt
 
 from .robots import bare
 
@@ -79,11 +80,18 @@ class Case:
     """Delay of the efforts [s]."""
     added: Callable[[Floats, Floats], Floats] | None = None
     """Returns external efforts for times and positions."""
+    also: tuple[FaultKind, ...] = ()
+    """Kinds of other statements that are true."""
 
     def __post_init__(self) -> None:
-        described, rng = robot(self.name), self.rng
-        self.model, n = InverseDynamics(described), len(described.joint_names)
-        self.real = InverseDynamics(other_bodies(described, rng, WRONG))
+        described = robot(self.name)
+        self.model = InverseDynamics(described)
+        self.build(WRONG)
+
+    def build(self, wrong: float) -> None:
+        """Draw a real robot whose bodies differ by the relative error `wrong`, and a motion."""
+        described, rng, n = self.model.robot, self.rng, len(self.names)
+        self.real = InverseDynamics(other_bodies(described, rng, wrong))
         self.motion = exciting_motion(described, rng, DURATION, RATE)
         bodies = np.sqrt(np.mean(self.model.efforts(*self.motion[1:]) ** 2, axis=0))
         size = bodies + 0.02 * bodies.max()
@@ -145,7 +153,7 @@ class Case:
         if fault.kind is FaultKind.ROTOR_INERTIA:
             real = np.array([self.armature[self.names.index(joint)] for joint in fault.joints])
             return bool((np.abs(np.log(np.array(fault.values) / real)) < math.log(2.0)).all())
-        return fault.kind is FaultKind.BODIES
+        return fault.kind is FaultKind.BODIES or fault.kind in self.also
 
 
 # ---- Faults --------------------------------------------------------------------------------
@@ -257,6 +265,41 @@ def external_force(case: Case) -> None:
     case.expected = Fault(FaultKind.EXTERNAL_FORCE, interval=(begin, begin + 5.0))
 
 
+def gravity_and_offsets(case: Case) -> None:
+    """Record efforts without gravity, with offsets."""
+    missing_gravity(case)
+    size = np.sqrt(np.mean(case.model.efforts(*case.motion[1:]) ** 2, axis=0))
+    offsets = 0.1 * size * case.rng.choice([-1.0, 1.0], len(size))
+    case.also = (FaultKind.OFFSET,)
+    _efforts(case, lambda efforts: efforts + offsets)
+
+
+def payload_on_wrong_links(case: Case) -> None:
+    """Carry a payload of 2 kg on links whose masses are wrong by 20 %."""
+    case.build(2.0 * WRONG)
+    payload(case)
+
+
+def push_at_rest(case: Case) -> None:
+    """Push the tip of a resting robot with 40 N for 5 s."""
+    times, q, *_ = case.motion
+    still = np.tile(q[0], (len(times), 1))
+    case.motion = times, still, np.zeros_like(still), np.zeros_like(still)
+    external_force(case)
+
+
+def low_pass(case: Case) -> None:
+    """Filter the efforts at 3 Hz before they are recorded."""
+    filter_ = butter(4, 3.0, fs=RATE, output='sos')
+    _efforts(case, lambda efforts: sosfiltfilt(filter_, efforts, axis=0))
+
+
+def common_factor(case: Case) -> None:
+    """Record efforts that are all 1.3 times too large."""
+    case.expected = Fault(FaultKind.UNIT, values=(1.3,))
+    _efforts(case, lambda efforts: 1.3 * efforts)
+
+
 FAULTS: dict[str, Callable[[Case], None]] = {
     'none': nothing,
     'swapped joints': swapped_joints,
@@ -271,7 +314,14 @@ FAULTS: dict[str, Callable[[Case], None]] = {
     'base tilted by 10 degrees': tilt,
     'absent payload': absent_payload,
     'external force': external_force,
+    'missing gravity, offsets': gravity_and_offsets,
+    'payload on wrong links': payload_on_wrong_links,
+    'push at rest': push_at_rest,
+    'efforts filtered at 3 Hz': low_pass,
+    'all efforts 1.3 times': common_factor,
 }
+HEALTHY = 'none', 'efforts filtered at 3 Hz'
+"""Recordings without a fault."""
 
 
 # ---- The table -----------------------------------------------------------------------------
@@ -296,12 +346,12 @@ def run(fault: str, name: str, seed: int) -> Result:
     found = case.run().faults
     is_named = any(map(case.is_named, found)) or (case.expected is None and not found)
     said = tuple((headline(each), case.is_true(each)) for each in found)
-    return Result(fault, name, is_named or (fault == 'none' and all(x for _, x in said)), said)
+    return Result(fault, name, is_named or (fault in HEALTHY and all(x for _, x in said)), said)
 
 
 def summary(results: list[Result]) -> str:
     """Summarize how many faults are named, and how many statements are false."""
-    faulty = [each for each in results if each.fault != 'none']
+    faulty = [each for each in results if each.fault not in HEALTHY]
     named = sum(each.is_named for each in faulty)
     said = [is_true for each in results for _, is_true in each.statements]
     return (

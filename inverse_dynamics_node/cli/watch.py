@@ -138,6 +138,7 @@ class _Watch:
         self.agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
+        self._state_count = 0  # of joint states when the latest sample was added
         self._cut: dict[str, float] = {}  # time at which each joint's effort was last cut
 
     def run(self) -> int:
@@ -205,7 +206,9 @@ class _Watch:
                 if has_changed:
                     self.gate = Gate(self.options.unchecked)
             sample = self.sample = observer.sample()
-            self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
+            if observer.state_count > self._state_count:
+                self._state_count = observer.state_count
+                self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
 
     def _check(self, now: float) -> Agreement:
         observer, status = self.observer, self.observer.status

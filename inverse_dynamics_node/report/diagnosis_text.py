@@ -485,15 +485,13 @@ def _not_checked(agreement: Agreement) -> str:
 
 
 _CHECKS = {
-    Check.NO_WEIGHT: (
-        'move {}, which rested and carries too little weight to show the sign of its effort'
-    ),
-    Check.NOT_MOVED: 'move {}, because velocities are compared with positions only in motion',
+    Check.NO_WEIGHT: 'move {}: without weight, the sign of an effort shows only in motion',
+    Check.NOT_MOVED: 'move {}: velocities are compared with positions only in motion',
     Check.FAINT: (
-        '{} moved, but its weight, friction and inertia are too small to show the sign of its '
-        'effort; move it faster, or accept it with --unchecked'
+        'move {} faster, or accept with --unchecked: weight, friction and inertia are too small '
+        'to show the sign of the effort'
     ),
-    Check.NOT_MEASURED: '{} has no measured effort; accept it with --unchecked',
+    Check.NOT_MEASURED: 'accept {} with --unchecked: no effort is measured',
 }
 
 

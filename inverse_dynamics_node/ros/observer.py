@@ -132,6 +132,8 @@ class Observer:
         self._topics: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
         self._reader = JointStateReader()
+        self.state_count = 0
+        """Number of joint states of this robot that `poll` has taken."""
         self._clear()
 
     def _clear(self) -> None:
@@ -273,6 +275,7 @@ class Observer:
             return
         if len(positions) != len(names):
             return
+        self.state_count += 1
         if names not in self._filters:
             self._filters[names] = LowPass(np.zeros((3, len(names))), CUTOFF)
             self._settled_at = time.monotonic() + _SETTLING

@@ -7,6 +7,7 @@ Faults and their sentences are in test_one_diagnosis.py.
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.diagnosis.fault import FaultKind, GravityConvention
 from inverse_dynamics_node.analysis.diagnosis.live import (
+    Check,
     check_agreement,
     diagnose_samples,
     Gate,
@@ -241,10 +242,15 @@ JUDGED = [
         ONLY_ONE,
         {},
         UNCHECKED,
-        'not checked: joint_1, joint_3, joint_4, joint_5 and joint_6 has no',
+        'not checked: accept joint_1, joint_3, joint_4, joint_5 and joint_6 with',
     ),
     (ONLY_ONE, {'commanded': ['joint_2']}, AGREE, ''),
-    (ONLY_ONE, {'commanded': ['joint_2', 'joint_3']}, UNCHECKED, 'not checked: joint_3 has no me'),
+    (
+        ONLY_ONE,
+        {'commanded': ['joint_2', 'joint_3']},
+        UNCHECKED,
+        'not checked: accept joint_3 with --unchecked: no effort is',
+    ),
     (SILENT, {}, (Outcome.DIFFER, FaultKind.NOT_MEASURED), 'joint_3'),
     (SILENT, {'commanded': ['joint_1', 'joint_2', 'joint_4', 'joint_5']}, AGREE, ''),
     (same, {'rate': 50.0}, SLOW, 'joint states arrive at 50 Hz, expected at least 80 Hz'),
@@ -259,6 +265,70 @@ def test_judgement_names_what_matters_most(change, arguments, expected, words):
     agreement = judged(change(samples), robot, **arguments)
     assert (agreement.outcome, agreement.cause) == expected
     assert words in agreement_sentence(agreement)
+
+
+# ---- The gate ------------------------------------------------------------------------------
+
+
+def checked(samples, robot):
+    return check_agreement('', StateRate(500.0), samples, robot, GRAVITY, None, JOINTS)
+
+
+def rubbing(real):
+    real.set_friction(1.0, 1.0)
+
+
+def test_an_arm_at_rest_is_not_checked_until_every_joint_has_moved():
+    gate = Gate()
+    robot, still = samples_of(moves=False, act=rubbing)
+    agreement = gate.add(checked(still, robot))
+    assert agreement.cause is Obstacle.NOT_CHECKED
+    assert set(agreement.unchecked) == set(JOINTS)
+    assert agreement.checks['joint_2'] is Check.NOT_MOVED
+    assert agreement.checks['joint_1'] is agreement.checks['joint_6'] is Check.NO_WEIGHT
+    text = agreement_sentence(agreement)
+    assert text.startswith('not checked: move joint_1')
+    assert 'without weight, the sign of an effort shows only in motion' in text
+    robot, moving = samples_of(act=rubbing)
+    assert gate.add(checked(moving, robot)).outcome is Outcome.AGREE
+    assert gate.add(checked(still, robot)).outcome is Outcome.AGREE
+
+
+def test_accepted_joints_need_no_check():
+    robot, still = samples_of(moves=False)
+    assert Gate(JOINTS).add(checked(still, robot)).outcome is Outcome.AGREE
+    some = Gate(JOINTS[1:]).add(checked(still, robot))
+    assert some.unchecked == ('joint_1',)
+
+
+def test_a_difference_stays_a_difference():
+    gate = Gate()
+    robot, moving = samples_of(act=rubbing)
+    found = gate.add(checked(flipped(moving, 'joint_2'), robot))
+    assert found.cause is FaultKind.SIGN
+    later = gate.add(checked(moving, robot))
+    assert (later.outcome, later.cause) == (Outcome.DIFFER, FaultKind.SIGN)
+    assert 'found earlier in this run' in agreement_sentence(later)
+
+
+@pytest.mark.parametrize('factor', [-1.0, 0.0, 57.3])
+@pytest.mark.parametrize('joint', range(6))
+def test_wrong_velocities_of_any_joint_are_a_difference(joint, factor):
+    robot, moving = samples_of(act=rubbing)
+    factors = np.where(np.arange(6) == joint, factor, 1.0)
+    agreement = checked(moving._replace(qd=factors * moving.qd), robot)
+    assert agreement.outcome is Outcome.DIFFER
+    fault = agreement.faults[0]
+    assert (fault.kind, fault.joints) == (FaultKind.VELOCITY, (JOINTS[joint],))
+    assert fault.values == pytest.approx((factor,), rel=0.1, abs=0.05)
+
+
+@pytest.mark.parametrize('joint', JOINTS)
+def test_friction_shows_the_sign_of_a_joint_without_weight(joint):
+    robot, moving = samples_of(act=rubbing)
+    agreement = Gate().add(checked(flipped(moving, joint), robot))
+    assert agreement.outcome is not Outcome.AGREE
+    assert joint in {*agreement.unchecked, *(x for y in agreement.faults for x in y.joints)}
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,9 @@ from ..recordings.signals import rms
 from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import is_moving
 from .loads import loaded_links
+from .regression import Fit, NOISE_FLOOR
 from .rows import OFFSET, ROTOR, Rows, Signals
-from .search import Fit, NOISE_FLOOR, Search
+from .search import Search
 from .simple_faults import constant_fault, not_measured, positions_fault
 from .statements import faults_of
 from .velocities import check_velocities

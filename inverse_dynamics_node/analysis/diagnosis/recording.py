@@ -18,8 +18,9 @@ from ..recordings.signals import derive, Motion, Recording, rms, without_turns
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
 from .loads import loaded_links
+from .regression import Fit
 from .rows import Rows, Signals
-from .search import Fit, Search
+from .search import Search
 from .simple_faults import constant_fault, not_measured, positions_fault
 from .statements import faults_of
 

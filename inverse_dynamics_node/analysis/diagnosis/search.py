@@ -1,152 +1,43 @@
 """
-Explains measured efforts by one Bayesian regression, and finds faults by its evidence.
+Finds faults by the evidence of regressions.
 
-The rows are the samples of all joints. The columns are changes of the bodies, friction, rotors and
-offsets, each with a prior. A *hypothesis* is a set of faults. A fault is a further column, such as
-a payload, or a transformation of the measured efforts, such as another sign. The search adds the
-fault that raises the evidence most, until no fault raises it enough.
+The search adds the fault that raises the evidence most, until no fault raises it enough.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 import math
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...robot.model import Booleans, Floats, Integers
+from ...robot.model import Floats, Integers
 from .fault import is_usual
-from .loads import MAX_REACH, point_mass_parameters
-from .rows import (
-    Columns,
-    LOAD_FRICTION,
-    NEGLIGIBLE,
-    OF_MODEL,
-    OFFSET,
-    OWN,
-    Places,
-    POINT_MASS,
-    Rows,
-    Signals,
-    SPREAD,
-    Window,
+from .regression import (
+    BODIES_COST,
+    CERTAIN,
+    CLIP,
+    Fit,
+    FLOOR,
+    Hypothesis,
+    LOAD_SPREAD,
+    NEEDED,
+    Regression,
+    SEGMENTS,
 )
+from .rows import NEGLIGIBLE, OF_MODEL, OWN, POINT_MASS, Rows, SPREAD, Window
 
-NEEDED = 12.0  # least log evidence that a fault must add
 FIRST = 0.5  # missing gravity comes first if it adds this fraction of the evidence
 MOST_FAULTS = 8
-ROUNDS = 6  # of variances, nonnegative friction, and nonlinear parameters
-FLOOR = 0.02  # accuracy of models, as a fraction of a joint's RMS effort
-GOOD_FLOOR = 0.005  # the same for models with good bodies
-LEAST_FLOOR = 0.001  # the same, as a fraction of the largest RMS effort
-UNEXPLAINED = 0.3  # fraction of the squared effort that a good fit leaves at most
-MOST_UNEXPLAINED = 0.5  # the same for all joints together; more is reported at rest too
-NOISE_FLOOR = 2.0  # RMS residuals below this multiple of the noise need no explanation
-SEGMENTS = 40  # for samples that nothing explains
-LOUD = 4.0  # multiple of the median loudness above which segments lose their weight
-CLIP = 25.0  # largest squared residual that counts, in variances
-BODIES_COST = 16.0  # of the fault that several links are wrong
-GOOD_BODIES, WIDE_BODIES = 0.2, 6.0  # multiples of the usual spread of the bodies
-SURE_ENOUGH = 2.0  # the same as CERTAIN in brief searches, which may see one pose only
-CERTAIN = 4.0  # a load is reported if its mass exceeds this multiple of its standard error
+FACTOR_COST = 24.0  # of a common factor that errors of the bodies may cause
 COMMON = 0.08  # smallest deviation of a common factor from 1
-USUAL_OFFSET, WIDE_OFFSET = 0.01, 1.0  # standard deviation, as a fraction of the RMS effort
-DRIVE_SPREAD = np.array([3.0, 3.0, 0.2, 1.0, USUAL_OFFSET])
-LOAD_SPREAD = np.array([4.0, 0.8, 0.8, 0.8])
-DELAY_SPREAD = 0.1  # [s]
-LEAST_TILT = 0.02  # [rad]
-RADIAL = 0.002  # relative standard deviation of the magnitude of gravity
 MOST_PUSHED = 0.5  # largest fraction of a recording in which an external force acts
 MOST_OF_ALL = 0.9  # largest fraction of a recording in which a temporary fault acts
 EDGE = 0.02  # windows within this fraction of an end of the recording reach this end
 MOST_PAIRS = 10  # joints; in longer chains, only neighbours are exchanged
 
 
-class Hypothesis(NamedTuple):
-    """A set of faults."""
-
-    axes: tuple[int, ...] = ()
-    """Joints with reversed axes."""
-    factors: tuple[tuple[int, float], ...] = ()
-    """Joints, and the factors of their measured efforts."""
-    unit: float = 1.0
-    """Factor of all measured efforts."""
-    source: tuple[int, ...] = ()
-    """Joints under whose names the efforts were recorded; empty if in order."""
-    other_gravity: int = 0
-    """
-    `OWN` if the measured efforts lack gravity, or contain it unexpectedly; `OF_MODEL` if they lack
-    the gravity efforts of the model.
-    """
-    load: str = ''
-    """Link with an unknown payload."""
-    is_tilted: bool = False
-    is_late: bool = False
-    has_wrong_bodies: bool = False
-    has_offsets: bool = False
-    window: Window | None = None
-
-    @property
-    def sensors(self) -> tuple[object, ...]:
-        """The faults of signs, units and names."""
-        return self.axes, self.factors, self.unit, self.source
-
-    def without_one(self) -> list[Hypothesis]:
-        """Return the hypotheses with one fault less."""
-        changes: list[dict[str, Any]] = [
-            {name: default}
-            for name, default in Hypothesis._field_defaults.items()
-            if name not in ('axes', 'factors') and getattr(self, name) != default
-        ]
-        for name in ('axes', 'factors'):
-            found = getattr(self, name)
-            changes += [{name: tuple(x for x in found if x != y)} for y in found]
-        return [self._replace(**change) for change in changes]
-
-    def factor(self, count: int) -> Floats:
-        """Return the factor of the measured effort of each joint, shape (c,)."""
-        factors = np.full(count, self.unit)
-        for j, factor in self.factors:
-            factors[j] *= factor
-        return factors
-
-    def order(self, count: int) -> Integers:
-        """Return the joint under whose name each effort was recorded, shape (c,)."""
-        return np.array(self.source or range(count), dtype=np.intp)
-
-
-class Fit(NamedTuple):
-    """A hypothesis, fitted to the rows."""
-
-    hypothesis: Hypothesis
-    evidence: float
-    """Logarithm of the probability of the measured efforts."""
-    is_credible: bool
-    """Whether the faults leave little unexplained, and loads are near their links."""
-    shared: dict[str, Floats]
-    """Values of the unknowns that all joints share."""
-    errors: dict[str, Floats]
-    """Standard errors of these values."""
-    gravity: Floats
-    """Fitted gravity, shape (3,) [m/s^2]."""
-    drives: Floats
-    """Damping, Coulomb friction, load friction, rotor and offset, shape (c, 5)."""
-    drive_errors: Floats
-    residual: Floats
-    """In the units of the model, shape (S, c) [N m or N]."""
-    variance: Floats
-    """Variance of the residuals, shape (c,)."""
-    rms: Floats
-    """RMS of the measured efforts in the units of the model, shape (c,)."""
-    bodies: float
-    """Spread of the bodies, as a multiple of the usual spread."""
-    solution: Floats
-    """Factor of each column in the residual, shape (c, p)."""
-    columns: Columns
-
-
-class Search:
+class Search(Regression):
     """
     The search for faults in rows.
 
@@ -155,110 +46,8 @@ class Search:
     """
 
     def __init__(self, rows: Rows, can_be_late: bool = True, is_brief: bool = False) -> None:
-        self.rows, self.can_be_late, self.is_brief = rows, can_be_late, is_brief
-        s = rows.signals
-        self.per_row = s.independent / max(len(s.times), 1) * s.used
-        self.trust = np.ones(len(s.times))
-        self.segment = np.arange(len(s.times)) * SEGMENTS // max(len(s.times), 1)
-
-    # ---- One hypothesis ------------------------------------------------------------------
-
-    def fit(self, h: Hypothesis) -> Fit:
-        """Fit a hypothesis, with the accuracy of the bodies that has the best evidence."""
-        spreads = (WIDE_BODIES,) if h.has_wrong_bodies else (GOOD_BODIES, 1.0)
-        return max((self._fit(h, spread) for spread in spreads), key=lambda fit: fit.evidence)
-
-    def _fit(self, h: Hypothesis, bodies: float) -> Fit:
-        rows, c = self.rows, self.rows.count
-        signs = np.ones(c)
-        signs[list(h.axes)] = -1.0
-        columns = rows.columns(signs, h.other_gravity, h.window)
-        factor, order = h.factor(c), h.order(c)
-        weights, pushed = self._weights(h.window)
-        G, width = columns.product(weights), columns.matrix.shape[2]
-        lateness = np.ones((c, width))
-        lateness[:, columns.at.rate] = (-signs / factor)[:, None]
-        if h.is_late:
-            G = G * lateness[:, :, None] * lateness[:, None, :]
-        target = np.zeros((c, width))
-        target[np.arange(c), order] = signs / factor
-        target[:, columns.at.model] = -1.0
-        rms = rows.rms[order] / np.abs(factor)
-        spread = DRIVE_SPREAD * rms[:, None]
-        spread[:, LOAD_FRICTION] = DRIVE_SPREAD[LOAD_FRICTION] * columns.sizes[:, LOAD_FRICTION]
-        if h.has_offsets:
-            spread[:, OFFSET] = WIDE_OFFSET * rms
-        dry = ~rows.signals.moves * rows.signals.dry[order] / np.abs(factor)
-        spread[:, OFFSET] = np.hypot(spread[:, OFFSET], dry)
-        counts = np.maximum(weights.sum(axis=0), 1e-9)
-        noise = (rows.signals.noise[order] / factor) ** 2
-        accuracy = GOOD_FLOOR if bodies == GOOD_BODIES else FLOOR
-        floor = (accuracy * rms) ** 2 + (LEAST_FLOOR * rows.rms.max() / factor) ** 2
-        variance = (0.3 * rms) ** 2 + noise + floor
-        shared = _Shared(h, columns.at, rows.dynamics.gravity, width, bodies)
-        x, drives = np.zeros(shared.map.shape[1]), np.zeros((c, len(columns.at.drive)))
-        for k in range(ROUNDS):
-            if k:
-                spread[:, :OFFSET][drives[:, :OFFSET] < 0.0] = 0.0
-                shared.update(x)
-            goal = target - shared.known
-            x, drives, solved = _solve(G, goal, shared.map, columns.at.drive, spread, variance)
-            u = goal - shared.map @ x
-            u[:, columns.at.drive] -= spread * drives
-            squares = np.einsum('ci,cij,cj->c', u, G, u)
-            variance = np.maximum(squares / counts, noise) + floor
-        residual = (columns.matrix @ (u * lateness)[:, :, None])[..., 0].T
-        expected = np.where(pushed, CLIP * variance, variance)
-        clipped = np.minimum(residual**2 / expected, CLIP)
-        evidence = -0.5 * (solved.log_det + float(x @ x) + float(np.sum(drives**2)))
-        evidence -= 0.5 * float(np.sum(self.per_row * (clipped + np.log(expected * factor**2))))
-        left = self._left(residual, pushed)
-        touched = [*h.axes, *(j for j, _ in h.factors), *np.flatnonzero(order != np.arange(c))]
-        is_explained = bool((left[touched] < UNEXPLAINED * rms[touched] ** 2).all())
-        if h.other_gravity or h.unit != 1.0 or h.load or h.is_tilted:
-            allowed = np.maximum(UNEXPLAINED * rms**2, NOISE_FLOOR**2 * noise)
-            is_explained &= float(left.sum()) < float(allowed.sum())
-        turned = float(np.linalg.norm(shared.gravity - shared.of_model))
-        is_explained &= not h.is_tilted or turned > LEAST_TILT * shared.size
-        is_credible = is_explained and shared.is_credible(
-            x, solved.errors, SURE_ENOUGH if self.is_brief else CERTAIN
-        )
-        return Fit(
-            h,
-            evidence,
-            is_credible,
-            shared.values(x),
-            shared.values(solved.errors),
-            shared.gravity,
-            spread * drives / columns.sizes,
-            spread * solved.drive_errors / columns.sizes,
-            residual,
-            variance,
-            rms,
-            bodies,
-            u * lateness,
-            columns,
-        )
-
-    def _left(self, residual: Floats, pushed: Booleans) -> Floats:
-        """Return the mean squared residual of each joint outside of pushes, shape (c,)."""
-        weights = self.per_row * self.trust[:, None] * ~pushed
-        counts = np.maximum(weights.sum(axis=0), 1e-9)
-        return np.asarray(np.sum(weights * residual**2, axis=0) / counts)
-
-    def _weights(self, window: Window | None) -> tuple[Floats, Booleans]:
-        """Return the weights of all samples, and a mask of the samples that a push explains."""
-        weights = self.per_row * self.trust[:, None]
-        pushed = np.zeros(weights.shape, dtype=bool)
-        if window is not None:
-            inside = window.inside(self.rows.signals.times)[:, None]
-            weights = np.where(inside, self.per_row, weights)
-            if window.kind == 'push':
-                pushed = inside & np.isin(np.arange(self.rows.count), window.joints)
-                weights = np.where(pushed, 0.0, weights)
-        return weights, pushed
-
-    # ---- The search ----------------------------------------------------------------------
+        super().__init__(rows, is_brief)
+        self.can_be_late = can_be_late
 
     def best(self) -> Fit:
         """Return the best hypothesis that the search finds."""
@@ -277,12 +66,12 @@ class Search:
                 gain, found = other, without
             if gain < best.evidence + NEEDED:
                 break
-            best = self._pruned(self._trusting(found))
+            best = self._pruned(self.trusting(found))
         return best
 
     def without_faults(self) -> Fit:
         """Return the fit of bodies, friction, rotors and offsets alone."""
-        return self._trusting(self.fit(Hypothesis()))
+        return self.trusting(self.fit(Hypothesis()))
 
     def shows_sign(self, fit: Fit, j: int) -> bool:
         """Return whether another sign of the effort of a joint would be noticed."""
@@ -297,22 +86,7 @@ class Search:
             found = max(trials, key=lambda fit: fit.evidence)
             if len(trials) < 2 or found.evidence < best.evidence - NEEDED:
                 return best
-            best = self._trusting(found)
-
-    def _trusting(self, fit: Fit) -> Fit:
-        """Reduce the weight of segments that the fit does not explain, and fit again."""
-        loud = self._loudness(fit)
-        median = float(np.median(loud[loud > 0.0])) if (loud > 0.0).any() else 1.0
-        trust = 1.0 / (1.0 + (loud / (LOUD * median)) ** 2)
-        self.trust = trust[self.segment]
-        return self.fit(fit.hypothesis)
-
-    def _loudness(self, fit: Fit) -> Floats:
-        """Return the mean squared residual of each segment, in variances."""
-        used = self.rows.signals.used
-        squares = np.sum(used * fit.residual**2 / fit.variance, axis=1)
-        total = np.bincount(self.segment, squares, SEGMENTS)
-        return np.asarray(total / np.maximum(np.bincount(self.segment, used.sum(1), SEGMENTS), 1))
+            best = self.trusting(found)
 
     def _candidates(self, best: Fit) -> Iterator[tuple[Hypothesis, float]]:
         """Yield the hypotheses with one more fault, each with its cost in log evidence."""
@@ -338,8 +112,9 @@ class Search:
         free = [j for j in range(n) if j not in factors and j not in h.axes]
         for j in free:
             yield h._replace(factors=(*h.factors, (j, -1.0))), 8.0
-            if self.rows.signals.moves[j]:
-                yield h._replace(axes=(*h.axes, j)), 16.0
+            if not self.rows.signals.moves[j]:
+                continue
+            yield h._replace(axes=(*h.axes, j)), 16.0
             if precision[j] > CERTAIN**2 and not is_usual(abs(ratios[j])):
                 yield h._replace(factors=(*h.factors, (j, float(ratios[j])))), 12.0
         yield from self._of_all(h, slopes, precision, free)
@@ -362,7 +137,7 @@ class Search:
         if is_usual(middle):
             middle = float(np.exp(np.average(sizes, weights=precision[known])))
         if abs(middle - 1.0) > COMMON and not (self.is_brief and is_usual(middle)):
-            yield h._replace(unit=h.unit * middle), 16.0 if is_usual(middle) else 8.0
+            yield h._replace(unit=h.unit * middle), FACTOR_COST if is_usual(middle) else 8.0
         odd = [j for j in known if not is_usual(abs(slopes[j]) / middle)]
         if len(odd) > 1:
             others = tuple((j, float(slopes[j] / h.unit)) for j in known)
@@ -389,7 +164,7 @@ class Search:
         """Return the products of the columns of each joint, and the places of model and drive."""
         at = best.columns.at
         places = np.append(at.model, at.drive)
-        return best.columns.product(self._weights(best.hypothesis.window)[0]), places
+        return best.columns.product(self.weights(best.hypothesis.window)[0]), places
 
     def _slopes(self, best: Fit) -> tuple[Floats, Floats]:
         """
@@ -418,46 +193,9 @@ class Search:
             precision[j] = slopes[j] ** 2 / (error + (SPREAD * slopes[j]) ** 2 + 1e-300)
         return slopes, precision
 
-    def unexplained(self, fit: Fit) -> Booleans:
-        """Return for each joint whether most of its moving effort is not explained."""
-        h, s = fit.hypothesis, self.rows.signals
-        noise = s.noise[h.order(self.rows.count)] / h.factor(self.rows.count)
-        least = np.maximum(UNEXPLAINED * fit.rms**2, (NOISE_FLOOR * noise) ** 2)
-        left = self._left(fit.residual, self._weights(h.window)[1])
-        found = (left > least) & s.moves
-        # The effort of a joint at rest also contains unknown dry friction.
-        is_bad = float(left.sum()) > MOST_UNEXPLAINED * float(np.sum(fit.rms**2))
-        return np.asarray(left > least if is_bad and not found.any() else found)
-
-    def has_wrong_bodies(self, fit: Fit) -> bool:
-        """Return whether the efforts show that the bodies are not accurate."""
-        if fit.bodies == GOOD_BODIES or self.unexplained(fit).all():
-            return False
-        return (
-            fit.evidence > self._fit(fit.hypothesis, GOOD_BODIES).evidence + BODIES_COST + NEEDED
-        )
-
     def shows_scale(self, fit: Fit) -> list[bool]:
         """Return for each joint whether the model, and not only friction, shows in its effort."""
         return [float(each) > CERTAIN**2 for each in self._slopes(fit)[1]]
-
-    def explained(self, fit: Fit, signals: Signals) -> Floats:
-        """
-        Return the efforts that a fit explains without friction and offsets, shape (S, c).
-
-        The efforts are those of other samples of the same motion, in the units of the model. They
-        contain all faults of the hypothesis that act on the model.
-        """
-        h, rows = fit.hypothesis, self.rows.at(signals)
-        signs = np.ones(rows.count)
-        signs[list(h.axes)] = -1.0
-        columns = rows.columns(signs, h.other_gravity, h.window)
-        left_out = [*range(rows.count), *columns.at.rate]
-        left_out += [] if self.has_wrong_bodies(fit) else columns.at.bodies.tolist()
-        solution = -fit.solution
-        solution[:, left_out] = 0.0
-        solution[:, columns.at.drive] = 0.0
-        return np.asarray((columns.matrix @ solution[:, :, None])[..., 0].T)
 
     def _misfit(self, best: Fit, j: int, i: int) -> float:
         """Return the log residual of the model of joint j for the effort recorded for i."""
@@ -477,11 +215,13 @@ class Search:
     def _windows(self, best: Fit) -> Iterator[Window]:
         """Yield windows in which a load, a tilt or a push explains more than the best fit."""
         s = self.rows.signals
-        for link in self.rows.links:
+        # At rest, a push looks like a load, and is more likely.
+        for link in self.rows.links if s.moves.any() else ():
             if not best.hypothesis.load:
                 places = best.columns.at.loads[link][:POINT_MASS]
                 yield from self._refined(best, 'load', link, places, LOAD_SPREAD)
-        if not best.hypothesis.is_tilted and best.columns.matrix[:, :, best.columns.at.tilt].any():
+        has_tilt = best.columns.matrix[:, :, best.columns.at.tilt].any() and s.moves.any()
+        if not best.hypothesis.is_tilted and has_tilt:
             size = float(np.linalg.norm(self.rows.dynamics.gravity))
             yield from self._refined(best, 'tilt', '', best.columns.at.tilt, np.full(3, size))
         ratio = best.residual**2 / best.variance
@@ -543,106 +283,3 @@ def best_span(gain: Floats) -> slice | None:
         return None
     begin = int(np.argmin(total[: end + 1]))
     return slice(begin, end) if end - begin > 1 else None
-
-
-class _Shared:
-    """The unknowns that all joints share: bodies, loads, gravity and a delay."""
-
-    def __init__(
-        self, h: Hypothesis, at: Places, gravity: Floats, width: int, spread: float
-    ) -> None:
-        self.at, self.link, self.of_model, self.gravity = at, h.load, gravity, gravity
-        self.size = float(np.linalg.norm(gravity))
-        window = h.window.kind if h.window is not None else ''
-        every = np.full(len(at.bodies), spread)
-        parts = {'bodies': (at.bodies, every)}
-        if h.load:
-            parts['load'] = at.loads[h.load][:POINT_MASS], LOAD_SPREAD
-        if window == 'load':
-            parts['window'] = at.window, LOAD_SPREAD
-        if h.is_late:
-            parts['delay'] = at.rate, np.array([DELAY_SPREAD])
-        self.tilt = at.tilt if h.is_tilted else at.window if window == 'tilt' else at.tilt[:0]
-        if len(self.tilt):
-            parts['tilt'] = self.tilt, np.full(3, self.size)
-        index = np.concatenate([places for places, _ in parts.values()])
-        self.map = np.zeros((width, len(index)))
-        """Columns for one unit of each scaled unknown."""
-        self.map[index, np.arange(len(index))] = np.concatenate([s for _, s in parts.values()])
-        ends = np.cumsum([len(places) for places, _ in parts.values()]).tolist()
-        self.places = {
-            name: (places, slice(end - len(places), end))
-            for (name, (places, _)), end in zip(parts.items(), ends, strict=True)
-        }
-        self.known = np.zeros(width)
-        """Known efforts, as factors of all columns."""
-
-    def values(self, x: Floats) -> dict[str, Floats]:
-        """Return the values, or standard errors, of the unknowns."""
-        found = {}
-        for name, (places, span) in self.places.items():
-            block = self.map[places, span]
-            found[name] = block @ x[span]
-        return found
-
-    def is_credible(self, x: Floats, errors: Floats, certain: float) -> bool:
-        """Return whether all loads are known and near their links."""
-        values, deviations = self.values(x), self.values(errors)
-        return all(
-            abs(values[name][0]) > certain * deviations[name][0]
-            and np.linalg.norm(values[name][1:]) < MAX_REACH * abs(values[name][0])
-            for name in ('load', 'window')
-            if name in values
-        )
-
-    def update(self, x: Floats) -> None:
-        """Make the efforts linear about the solution."""
-        values = self.values(x)
-        self.known = np.zeros_like(self.known)
-        if self.link and abs(values['load'][0]) > 1e-3:
-            mass, moments = float(values['load'][0]), values['load'][1:]
-            com = np.clip(moments / mass, -MAX_REACH, MAX_REACH)
-            second = point_mass_parameters(mass, com)[POINT_MASS:]
-            self.known[self.at.loads[self.link][POINT_MASS:]] = second
-        if len(self.tilt):
-            # A change of the mounting turns gravity, and keeps its magnitude.
-            vector = self.gravity + values['tilt']
-            self.gravity = self.size * vector / np.linalg.norm(vector)
-            axes = np.linalg.svd(self.gravity[None])[2].T
-            spread = self.size * np.array([RADIAL, 1.0, 1.0])
-            self.map[self.tilt, self.places['tilt'][1]] = axes * spread
-            self.known[self.tilt] = self.gravity - self.of_model
-
-
-class _Solved(NamedTuple):
-    log_det: float
-    errors: Floats
-    drive_errors: Floats
-
-
-def _solve(
-    G: Floats, goal: Floats, shared: Floats, drive: Integers, spread: Floats, variance: Floats
-) -> tuple[Floats, Floats, _Solved]:
-    """Return the scaled shared unknowns, those of the drives, shape (c, 5), and their errors."""
-    w = 1.0 / variance
-    A = shared.T @ np.tensordot(w, G, 1) @ shared
-    A[np.diag_indices_from(A)] += 1.0
-    of_drive = G[:, drive] * (w[:, None] * spread)[:, :, None]
-    B = of_drive @ shared
-    D = of_drive[:, :, drive] * spread[:, None, :]
-    D[:, np.arange(len(drive)), np.arange(len(drive))] += 1.0
-    b = shared.T @ np.einsum('c,cij,cj->i', w, G, goal)
-    d = (of_drive @ goal[:, :, None])[..., 0]
-    inverse_D = np.linalg.inv(D)
-    eliminated = np.einsum('cij,cjk->cik', inverse_D, B)
-    A -= np.einsum('cji,cjk->ik', B, eliminated)
-    b = b - np.einsum('cji,cj->i', eliminated, d)
-    inverse = np.linalg.inv(A)
-    x = inverse @ b
-    drives = (inverse_D @ (d - B @ x)[:, :, None])[..., 0]
-    log_det = float(np.linalg.slogdet(A)[1] + np.linalg.slogdet(D)[1].sum())
-    variances = np.diagonal(inverse_D, axis1=1, axis2=2) + np.einsum(
-        'cij,jk,cik->ci', eliminated, inverse, eliminated
-    )
-    errors = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
-    return x, drives, _Solved(log_det, errors, np.sqrt(np.maximum(variances, 0.0)))

@@ -10,8 +10,9 @@ import numpy as np
 from ...robot.model import Floats
 from .fault import Change, Fault, FaultKind
 from .loads import MAX_COM_ERROR
+from .regression import Fit, Hypothesis
 from .rows import COULOMB, OFFSET, ROTOR
-from .search import Fit, Hypothesis, Search
+from .search import Search
 
 CHANGED = 0.9  # a fault affects a joint if the correction leaves a smaller fraction of the RMS
 FRICTION = 0.03  # Coulomb friction above this fraction of a joint's RMS effort is considerable

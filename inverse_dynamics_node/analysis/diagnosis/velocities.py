@@ -17,7 +17,7 @@ from ...robot.model import Booleans, Floats
 from ..recordings.signals import lag
 from .fault import Fault, FaultKind
 
-STEP = 0.2  # [s]
+STEP, LONGEST_STEP = 0.2, 0.4  # [s]; longer steps contain a gap
 LEAST_TRAVEL = 0.05  # [rad or m]; sum of all changes of the position that a comparison needs
 NO_VELOCITY = 0.1  # velocities that explain a smaller fraction of the motion are zero
 ALIKE = 0.9  # least correlation of a velocity with another factor
@@ -66,22 +66,32 @@ def check_velocities(names: Sequence[str], times: Floats, q: Floats, qd: Floats)
 
 def _compare(times: Floats, q: Floats, qd: Floats) -> tuple[float, float] | None:
     """Return the factor of the velocity, or NaN, and its lag [s]; None without motion."""
-    period = (times[-1] - times[0]) / max(len(times) - 1, 1)
-    every = max(1, round(STEP / period)) if period > 0.0 else 1
+    if len(times) < 3:
+        return None
+    period = float(np.median(np.diff(times)))
+    every = max(1, round(STEP / period))
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (qd[1:] + qd[:-1]) * np.diff(times))])
-    moved, claimed = np.diff(q[::every]), np.diff(whole[::every])
+    is_whole = np.diff(times[::every]) < LONGEST_STEP
+    moved, claimed = np.diff(q[::every])[is_whole], np.diff(whole[::every])[is_whole]
     if float(np.sum(np.abs(moved))) < LEAST_TRAVEL:
         return None
     squares, claimed_squares = float(moved @ moved), float(claimed @ claimed)
     if claimed_squares < NO_VELOCITY**2 * squares:
         return 0.0, 0.0
+    if not is_whole.all():  # a lag is searched for in signals without gaps
+        return _factor(moved, claimed), 0.0
     even = np.arange(times[0], times[-1], period)
     smooth = np.ones(every) / every
     derived = np.convolve(np.gradient(np.interp(even, times, q), period), smooth, 'valid')
     recorded = np.convolve(np.interp(even, times, qd), smooth, 'valid')
-    late = lag(recorded, derived, float(period))
+    late = lag(recorded, derived, period)
     if late > LEAST_LAG:
         return 1.0, late
-    product = float(moved @ claimed)
-    alike = abs(product) > ALIKE * math.sqrt(squares * claimed_squares)
-    return (product / squares if alike else math.nan), 0.0
+    return _factor(moved, claimed), 0.0
+
+
+def _factor(moved: Floats, claimed: Floats) -> float:
+    """Return the factor of the claimed to the real motion, or NaN if they are not alike."""
+    product, squares = float(moved @ claimed), float(moved @ moved)
+    is_alike = abs(product) > ALIKE * math.sqrt(squares * float(claimed @ claimed))
+    return product / squares if is_alike else math.nan
