@@ -79,7 +79,8 @@ def test_payload_and_swapped_sign_are_both_reported():
     assert (sign.kind, sign.joints) == (FaultKind.SIGN, ('joint_2',))
     assert (payload.kind, payload.link) == (FaultKind.PAYLOAD, 'tool0')
     text = agreement_sentence(agreement)
-    assert text.startswith("joint_2 reports efforts with the wrong sign; link 'tool0' carries 2.")
+    assert text.startswith("joint_2 reports efforts with the wrong sign; link 'tool0' carries ")
+    assert payload.values[0] == pytest.approx(2.0, rel=0.03)
     assert '; do not go live. Change the sign' in text
 
 

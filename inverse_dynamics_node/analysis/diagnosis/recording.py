@@ -28,6 +28,7 @@ SAMPLES = 600  # approximate number of samples that the search uses
 MIN_DURATION = 4.0  # [s]; in shorter recordings, a fit may be good by chance
 WIDTH = 0.03  # [rad/s or m/s]; speed over which the search smooths Coulomb friction
 LEAST_MOVING = 0.05  # fraction of the samples in which a joint moves, if it moves
+DELAY_ROUNDS = 2  # of linear estimates of a delay
 INERTIAS = 50  # approximate number of mass matrices for the estimate of noise
 CONSTANT = 1e-9  # variations below this fraction of the largest effort are rounding errors
 
@@ -223,7 +224,7 @@ class _Comparison:
             signals = self._signals()
             rows = Rows(self.dynamics, signals, self._links(), self.convention)
             search = Search(rows, can_be_late=math.isinf(self.motion.cut_off))
-            fit = search.best()
+            fit = self._with_exact_delay(search, search.best())
             faults = faults_of(search, fit, [self.names[c] for c in self.varying])
             reasons |= self._obscured(search, fit, faults)
             measured, efforts, recorded = self._corrected(search, fit)
@@ -262,11 +263,22 @@ class _Comparison:
     def _links(self) -> tuple[str, ...]:
         return loaded_links(self.robot, self.states[0], self.link)
 
-    def _signals(self, every: bool = False) -> Signals:
-        """Return the samples for the search, or all samples."""
+    def _with_exact_delay(self, search: Search, fit: Fit) -> Fit:
+        """Return the fit with a delay that is accurate even if the efforts vary quickly."""
+        if not fit.hypothesis.is_late:
+            return fit
+        delay = float(fit.shared['delay'][0])
+        for _ in range(DELAY_ROUNDS):
+            rows = search.rows.at(self._signals(delay=delay))
+            delay += float(Search(rows).fit(fit.hypothesis).shared['delay'][0])
+        return fit._replace(shared={**fit.shared, 'delay': np.array([delay])})
+
+    def _signals(self, every: bool = False, delay: float = 0.0) -> Signals:
+        """Return the samples for the search, or all samples, with efforts of a later time."""
         motion, count = self.motion, len(self.motion.times)
         some = slice(None, None, 1 if every else max(1, count // SAMPLES))
-        measured, qd = self.measured[:, self.varying], self.qd[:, self.varying]
+        measured = self._later(self.measured[:, self.varying], delay)
+        qd = self.qd[:, self.varying]
         rates = [
             np.gradient(measured[a:b], motion.times[a:b], axis=0) for a, b in pieces(motion.times)
         ]

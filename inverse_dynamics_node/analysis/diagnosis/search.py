@@ -92,13 +92,13 @@ class Search(Regression):
         """Yield the hypotheses with one more fault, each with its cost in log evidence."""
         h, n = best.hypothesis, self.rows.count
         factors = dict(h.factors)
-        has_gravity = self.rows.convention.in_measured != bool(h.other_gravity)
-        if not h.other_gravity:
+        has_gravity = self._has_gravity(h)
+        if not h.other_gravity and self.rows.dynamics.gravity.any():
             yield h._replace(other_gravity=OWN), 2.0
             yield h._replace(other_gravity=OF_MODEL), 2.0
         if not h.load and h.window is None:
             for link in self.rows.links:
-                yield h._replace(load=link), 8.0
+                yield h._replace(load=link), 12.0
         if not h.is_tilted and h.window is None and has_gravity:
             yield h._replace(is_tilted=True), 4.0
         if not h.is_late and self.can_be_late and not self.is_brief:
@@ -119,9 +119,15 @@ class Search(Regression):
                 yield h._replace(factors=(*h.factors, (j, float(ratios[j])))), 12.0
         yield from self._of_all(h, slopes, precision, free)
         if not h.source and n > 1:
-            yield from self._orders(best, free)
+            moves = self.rows.signals.moves
+            yield from self._orders(best, [j for j in free if moves[j] or self.is_brief])
         if h.window is None and not self.is_brief:
             yield from ((h._replace(window=window), 12.0) for window in self._windows(best))
+
+    def _has_gravity(self, h: Hypothesis) -> bool:
+        """Return whether the measured efforts contain gravity."""
+        is_measured = self.rows.convention.in_measured != bool(h.other_gravity)
+        return is_measured and bool(self.rows.dynamics.gravity.any())
 
     def _of_all(
         self, h: Hypothesis, slopes: Floats, precision: Floats, free: list[int]
@@ -220,8 +226,8 @@ class Search(Regression):
             if not best.hypothesis.load:
                 places = best.columns.at.loads[link][:POINT_MASS]
                 yield from self._refined(best, 'load', link, places, LOAD_SPREAD)
-        has_tilt = best.columns.matrix[:, :, best.columns.at.tilt].any() and s.moves.any()
-        if not best.hypothesis.is_tilted and has_tilt:
+        can_tilt = self._has_gravity(best.hypothesis) and s.moves.any()
+        if not best.hypothesis.is_tilted and can_tilt:
             size = float(np.linalg.norm(self.rows.dynamics.gravity))
             yield from self._refined(best, 'tilt', '', best.columns.at.tilt, np.full(3, size))
         ratio = best.residual**2 / best.variance
