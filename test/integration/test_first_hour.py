@@ -47,7 +47,7 @@ MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:
 LEFT_NODE = MAIN_NODE.replace('com', 'namespace:=left')
 FASTER = {
     'simulate my_arm.urdf': 'simulate my_arm.urdf --rate 200',
-    'watch --for 10': 'watch --for 2',
+    'watch --for 60': 'watch --for 2',
     'move.yaml 0.2': 'move.yaml 2.0',
     'start_ramp: 3.0': 'start_ramp: 0.5',
     'stop_ramp: 2.0': 'stop_ramp: 0.5',
@@ -97,8 +97,9 @@ class Session:
                 assert ros2.main(arguments, self.node) == 0, line
             return
         code = self.copy(line).wait(PATIENCE)
-        # `watch` reports that a simulated robot on a busy machine is slow.
-        assert code == 0 or ('watch' in line and code in (3, 4)), f'{line}: {self.log_text()}'
+        # `watch` reports that a simulated robot on a busy machine is slow, and that two seconds
+        # check too few joints.
+        assert code == 0 or ('watch' in line and code in (3, 4, 6)), f'{line}: {self.log_text()}'
 
     def copy(self, line):
         """Start the program of a line without the seconds that its imports take."""

@@ -226,7 +226,7 @@ def test_node_is_found_by_name_with_its_remapped_topics(run_node, robot, watch):
     for node in (first, left):
         robot.wait_for_text(node, 'floating')
     named = decided(watch, '/left/inverse_dynamics', '--json')
-    assert named[0] == 0, named[1]
+    assert named[0] == 6, named[1]
     assert last_object(named[1])['node'] == '/left/inverse_dynamics'
     (ambiguous,) = watch(['--for', '20'])  # ends as soon as both are discovered
     assert ambiguous[0] == 1

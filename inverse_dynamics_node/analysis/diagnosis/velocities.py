@@ -17,11 +17,13 @@ from ...robot.model import Booleans, Floats
 from ..recordings.signals import lag
 from .fault import Fault, FaultKind
 
-STEP, LONGEST_STEP = 0.2, 0.4  # [s]; longer steps contain a gap
+STEP = 0.2  # [s]
+LONGEST_GAP = 0.1  # [s]; steps with a longer interval without a sample are left out
+FEWEST_STEPS = 5
 LEAST_TRAVEL = 0.05  # [rad or m]; sum of all changes of the position that a comparison needs
 NO_VELOCITY = 0.1  # velocities that explain a smaller fraction of the motion are zero
-ALIKE = 0.9  # least correlation of a velocity with another factor
-SAME_FACTOR = (0.7, 1.4)
+ALIKE, UNLIKE = 0.9, 0.5  # correlations of a proportional and of an unrelated velocity
+SAME_FACTOR = (0.5, 2.0)  # other factors are faults
 LEAST_LAG = 0.05  # [s]
 
 
@@ -68,18 +70,24 @@ def _compare(times: Floats, q: Floats, qd: Floats) -> tuple[float, float] | None
     """Return the factor of the velocity, or NaN, and its lag [s]; None without motion."""
     if len(times) < 3:
         return None
-    period = float(np.median(np.diff(times)))
+    gaps = np.diff(times)
+    period = float(np.median(gaps))
     every = max(1, round(STEP / period))
-    whole = np.concatenate([[0.0], np.cumsum(0.5 * (qd[1:] + qd[:-1]) * np.diff(times))])
-    is_whole = np.diff(times[::every]) < LONGEST_STEP
-    moved, claimed = np.diff(q[::every])[is_whole], np.diff(whole[::every])[is_whole]
+    whole = np.concatenate([[0.0], np.cumsum(0.5 * (qd[1:] + qd[:-1]) * gaps)])
+    count = len(gaps) // every
+    longest = gaps[: count * every].reshape(count, every).max(axis=1, initial=0.0)
+    is_whole = longest < max(LONGEST_GAP, 2.0 * period)
+    ends = slice(0, count * every + 1, every)
+    moved, claimed = np.diff(q[ends])[is_whole], np.diff(whole[ends])[is_whole]
+    if len(moved) < FEWEST_STEPS:
+        return None
     if float(np.sum(np.abs(moved))) < LEAST_TRAVEL:
         return None
     squares, claimed_squares = float(moved @ moved), float(claimed @ claimed)
     if claimed_squares < NO_VELOCITY**2 * squares:
         return 0.0, 0.0
     if not is_whole.all():  # a lag is searched for in signals without gaps
-        return _factor(moved, claimed), 0.0
+        return _factor(moved, claimed)
     even = np.arange(times[0], times[-1], period)
     smooth = np.ones(every) / every
     derived = np.convolve(np.gradient(np.interp(even, times, q), period), smooth, 'valid')
@@ -87,11 +95,13 @@ def _compare(times: Floats, q: Floats, qd: Floats) -> tuple[float, float] | None
     late = lag(recorded, derived, period)
     if late > LEAST_LAG:
         return 1.0, late
-    return _factor(moved, claimed), 0.0
+    return _factor(moved, claimed)
 
 
-def _factor(moved: Floats, claimed: Floats) -> float:
-    """Return the factor of the claimed to the real motion, or NaN if they are not alike."""
+def _factor(moved: Floats, claimed: Floats) -> tuple[float, float] | None:
+    """Return the factor of the claimed to the real motion, NaN if unrelated, and no lag."""
     product, squares = float(moved @ claimed), float(moved @ moved)
-    is_alike = abs(product) > ALIKE * math.sqrt(squares * float(claimed @ claimed))
-    return product / squares if is_alike else math.nan
+    alike = abs(product) / math.sqrt(squares * float(claimed @ claimed))
+    if UNLIKE < alike < ALIKE:
+        return None
+    return (product / squares if alike > ALIKE else math.nan), 0.0
