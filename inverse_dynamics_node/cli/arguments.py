@@ -102,7 +102,7 @@ def add_friction(parser: argparse.ArgumentParser) -> None:
 
 def add_picture(parser: argparse.ArgumentParser, default: str = '') -> None:
     """
-    Add the option --picture, and add --no-picture if the command draws by default.
+    Add the options --picture and --no-picture.
 
     The help shows the file name `default`, which is empty if the command draws only on request.
     """
@@ -113,8 +113,7 @@ def add_picture(parser: argparse.ArgumentParser, default: str = '') -> None:
         metavar='FILE',
         help=f'file for a picture: .png, .svg or .pdf{text}',
     )
-    if default:
-        parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
+    parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

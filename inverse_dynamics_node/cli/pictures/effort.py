@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...analysis.sizing import EffortRequirements
-from ...report.tables import effort_unit
+from ...report.tables import effort_unit, number
 from ...robot.model import RobotModel
 from . import style
 
@@ -18,6 +19,8 @@ _TERMS = {
     'velocity': style.PINK,
     'friction': style.GREY,
 }
+_NEGLIGIBLE = 1e-6
+"""Peaks smaller than this fraction of the largest peak are rounding errors."""
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
 """Largest number of letters in a name above a panel, for each number of columns."""
 
@@ -50,7 +53,9 @@ def _draw_joint(axes: Any, requirements: EffortRequirements, k: int, name: str, 
     efforts = requirements.efforts[shown, k]
     axes.plot(times[shown], efforts, color=style.BLUE, linewidth=2.0, label='effort')
     limit = float(requirements.effort_limits[k])
-    peak = float(style.without_rounding(np.abs(requirements.peak))[k])
+    peak = abs(float(requirements.peak[k]))
+    if peak <= _NEGLIGIBLE * np.max(np.abs(requirements.peak)):
+        peak = 0.0
     colour = style.RED if requirements.is_beyond['effort'][k] else style.BLUE
     axes.plot(
         requirements.peak_time[k], requirements.peak[k], 'D', color=colour, markersize=5, zorder=5
@@ -62,7 +67,9 @@ def _draw_joint(axes: Any, requirements: EffortRequirements, k: int, name: str, 
     if peak == 0.0:
         axes.set_ylim(-1.0, 1.0)
     # The name has its own line, because it may be as wide as the panel.
-    words = style.peak_in_words(peak, limit, unit)
+    words = f'{peak:.3g} {unit}, no limit'
+    if limit < math.inf:
+        words = f'{peak:.3g} of {number(limit)} {unit}'
     axes.set_title(f'{name}\npeak {words}', fontsize=9, color=colour, pad=3)
     axes.tick_params(labelsize=8.5)
     axes.locator_params(axis='y', nbins=5)

@@ -5,31 +5,24 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...report.tables import number, wrapped
+from ...report.tables import wrapped
 from ...robot.model import Floats
 from ..console import new_file
 
-BLUE, ORANGE, GREEN, PINK, SKY, RED = (
-    '#0072B2',
-    '#E69F00',
-    '#009E73',
-    '#CC79A7',
-    '#56B4E9',
-    '#D55E00',
-)
+BLUE, ORANGE, GREEN = '#0072B2', '#E69F00', '#009E73'
+PINK, SKY, RED = '#CC79A7', '#56B4E9', '#D55E00'
 """The palette of Okabe and Ito, which is suitable for colour-blind readers."""
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 MEASURED = {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}
 """Look of measured values: a wide line, because other lines are drawn over it."""
 _COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED, DARK)
-_DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
-"""Five line styles; together with seven colours, they distinguish 35 joints."""
+_DASHES = ('-', '--', ':', '-.')
+"""Together with seven colours, four line styles distinguish 28 joints."""
 WIDTH = 9.0
 """Width of a picture [inch]; at 100 dots per inch, the text is legible in a README."""
 _MOST_HEIGHT = 60.0  # [inch]
@@ -38,8 +31,6 @@ MOST_POINTS = 1500
 """Approximate number of points in a line; more points would not be visible."""
 _SHORTEST_GAP = 0.2
 """Shortest gap in time that breaks a line [s]."""
-_NEGLIGIBLE = 1e-6
-"""Efforts smaller than this fraction of the largest effort are rounding errors."""
 _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
 _TITLE_LINES = 5
@@ -75,12 +66,14 @@ _STYLE = {
 @contextmanager
 def styled_pyplot() -> Iterator[Any]:
     """Apply the style in the ``with`` block; yield pyplot, set up to open no windows."""
+    from cycler import cycler
     import matplotlib
 
     matplotlib.use('Agg')
     from matplotlib import pyplot
 
-    with matplotlib.rc_context(_STYLE):
+    cycle = cycler(linestyle=_DASHES) * cycler(color=_COLOURS)
+    with matplotlib.rc_context({**_STYLE, 'axes.prop_cycle': cycle}):
         try:
             yield pyplot
         finally:
@@ -106,12 +99,6 @@ def panels(pyplot: Any, count: int, columns: int, row_height: float) -> tuple[An
     return figure, grid.flat[:count]
 
 
-def title_lines(*paragraphs: str) -> list[str]:
-    """Wrap the paragraphs of a title, and return the lines."""
-    lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
-    return [*lines[:_TITLE_LINES], '...'] if len(lines) > _TITLE_LINES else lines
-
-
 def elided(text: str, size: int) -> str:
     """Replace the middle of a long text with "…", because names differ at the start or end."""
     head = (size - 1) // 2
@@ -125,17 +112,10 @@ def all_elided(names: Sequence[str], size: int) -> list[str]:
 
 
 def set_title(figure: Any, *paragraphs: str) -> None:
-    """Write the title of a figure."""
-    figure.suptitle('\n'.join(title_lines(*paragraphs)), x=0.01, ha='left', fontsize=11)
-
-
-def peak_in_words(peak: float, limit: float, unit: str) -> str:
-    """Return a string with a peak effort and the limit."""
-    return (
-        f'{peak:.3g} of {number(limit)} {unit}'
-        if limit < math.inf
-        else f'{peak:.3g} {unit}, no limit'
-    )
+    """Wrap the paragraphs of a title, and write the title of a figure."""
+    lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
+    shown = [*lines[:_TITLE_LINES], *['...'] * (len(lines) > _TITLE_LINES)]
+    figure.suptitle('\n'.join(shown), x=0.01, ha='left', fontsize=11)
 
 
 def try_to_draw(
@@ -168,18 +148,9 @@ def write_picture(draw: Callable[[Path], None], path: Path) -> None:
         raise ModuleNotFoundError(str(error), name='matplotlib') from error
 
 
-def look_of(i: int) -> dict[str, Any]:
-    """Return the colour and the line style of joint `i`."""
-    return {
-        'color': _COLOURS[i % len(_COLOURS)],
-        'linestyle': _DASHES[i // len(_COLOURS) % len(_DASHES)],
-    }
-
-
 def draw_lines(axes: Any, times: Floats, values: Floats, names: Sequence[str]) -> None:
     """Draw a labelled line over time for each column of `values`."""
-    for k, name in enumerate(all_elided(names, 22)):
-        axes.plot(times, values[:, k], linewidth=1.2, label=name, **look_of(k))
+    axes.plot(times, values, linewidth=1.2, label=all_elided(names, 22))
     axes.margins(x=0.0)
 
 
@@ -197,11 +168,6 @@ def thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
     gap = max(_SHORTEST_GAP, 1.5 * step * np.median(np.diff(times)))
     y[np.flatnonzero(np.diff(t) > gap)] = np.nan
     return t, y
-
-
-def without_rounding(peaks: Floats) -> Floats:
-    """Set peak efforts to zero if they are only rounding errors."""
-    return np.where(peaks <= _NEGLIGIBLE * np.max(peaks), 0.0, peaks)
 
 
 def fewer_ticks(*axes: Any) -> None:
