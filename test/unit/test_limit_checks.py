@@ -48,45 +48,31 @@ def worst(values):
 
 
 AT_57 = 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
+BEYOND = 'joint2 is at {} rad, outside its limits -2.97 to 2.97'
+SLIDES = 'slide is at {} m, outside its limits 0 to 0.04'
+# fmt: off
 POSITIONS = [
     # positions, names of their columns, sentences
     ([0.0, 57.3, 0.0, 0.0], (), [AT_57]),
     # close to the limits, no number, no limits, and a joint that cannot move
     *(([1000.0, q2, 0.049, 5.0], (), []) for q2 in (-3.5, 2.97, 3.5, math.nan, math.inf)),
     # outside of the limits, but not in degrees
-    (
-        [0.0, 4.0, -0.5, 0.0],
-        (),
-        [
-            'joint2 is at 4 rad, outside its limits -2.97 to 2.97',
-            'slide is at -0.5 m, outside its limits 0 to 0.04',
-        ],
-    ),
-    ([0.0, 300.0, 0, 0], (), ['joint2 is at 300 rad, outside its limits -2.97 to 2.97']),
+    ([0.0, 4.0, -0.5, 0.0], (), [BEYOND.format(4), SLIDES.format(-0.5)]),
+    ([0.0, 300.0, 0, 0], (), [BEYOND.format(300)]),
     # degrees slightly outside
-    (
-        [0, -180, 0, 0],
-        (),
-        ['joint2 is at -180 rad, outside its limits -2.97 to 2.97 (in degrees?)'],
-    ),
-    ([0, 180, 0, 0], (), ['joint2 is at 180 rad, outside its limits -2.97 to 2.97 (in degrees?)']),
+    ([0, -180, 0, 0], (), [BEYOND.format(-180) + ' (in degrees?)']),
+    ([0, 180, 0, 0], (), [BEYOND.format(180) + ' (in degrees?)']),
     # the worst of many, on either side
-    (worst([-4.2, 4.1]), (), ['joint2 is at -4.2 rad, outside its limits -2.97 to 2.97']),
-    (worst([-4.1, 4.2]), (), ['joint2 is at 4.2 rad, outside its limits -2.97 to 2.97']),
-    (worst([math.nan, 4.0, 4.3]), (), ['joint2 is at 4.3 rad, outside its limits -2.97 to 2.97']),
+    (worst([-4.2, 4.1]), (), [BEYOND.format(-4.2)]),
+    (worst([-4.1, 4.2]), (), [BEYOND.format(4.2)]),
+    (worst([math.nan, 4.0, 4.3]), (), [BEYOND.format(4.3)]),
     (np.zeros((3, 0, 4)), (), []),
     # by names
-    (
-        [[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]],
-        ('joint2', 'slide', 'wheel'),
-        [AT_57, 'slide is at 2 m, outside its limits 0 to 0.04'],
-    ),
-    (
-        [5.0, 100.0, 4.0],
-        ('stuck', 'joint1', 'joint2'),
-        ['joint2 is at 4 rad, outside its limits -2.97 to 2.97'],
-    ),
+    ([[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]], ('joint2', 'slide', 'wheel'),
+     [AT_57, SLIDES.format(2)]),
+    ([5.0, 100.0, 4.0], ('stuck', 'joint1', 'joint2'), [BEYOND.format(4)]),
 ]
+# fmt: on
 
 
 @pytest.mark.parametrize(('positions', 'names', 'expected'), POSITIONS)
@@ -117,7 +103,7 @@ def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
     assert position_warnings(robot, [0.0, 0.0, 0.0, 0.0]) == ()
 
 
-def reaching_arm(limits, weights=(2.0, 3.0), travel='-0.6', mounted=0.5):
+def reaching_arm(limits, weights=(2.0, 3.0)):
     """Return an arm that turns, turns without end, and slides; the base is heavy."""
     masses = [100.0, *weights, 1.0]
     coms = ['0 0 5', '0 0 0.2', '0 0.1 0', '0 0 0']
@@ -128,12 +114,12 @@ def reaching_arm(limits, weights=(2.0, 3.0), travel='-0.6', mounted=0.5):
     )
     return load_urdf(
         f"""<robot name="arm">{links}
-  <joint name="turn" type="revolute"><origin xyz="{mounted} 0 0"/>
+  <joint name="turn" type="revolute"><origin xyz="0.5 0 0"/>
     <parent link="l0"/><child link="l1"/><axis xyz="0 1 0"/>
     <limit lower="-3" upper="3" effort="{limits[0]}" velocity="2"/></joint>
   <joint name="slide" type="prismatic"><origin xyz="0 0 1"/>
     <parent link="l1"/><child link="l2"/><axis xyz="1 0 0"/>
-    <limit lower="{travel}" upper="0.2" effort="{limits[1]}" velocity="2"/></joint>
+    <limit lower="-0.6" upper="0.2" effort="{limits[1]}" velocity="2"/></joint>
   <joint name="spin" type="continuous"><origin xyz="0 0 0.3"/>
     <parent link="l2"/><child link="l3"/><axis xyz="0 0 1"/>
     <limit effort="{limits[2]}" velocity="2"/></joint>
@@ -179,24 +165,15 @@ def test_a_limit_that_is_missing_is_not_a_placeholder():
     assert 'effort_limits of the node' in warning.hint
 
 
-def test_a_travel_without_limits_is_not_part_of_the_reach():
+@pytest.mark.parametrize(('lower', 'upper', 'travel'), [
+    (-0.6, 0.2, 0.6), (-0.1, 0.2, 0.2), (-math.inf, math.inf, 0.0)])  # fmt: skip
+def test_the_longer_travel_is_part_of_the_reach(lower, upper, travel):
     robot = reaching_arm([50.1 * MOST, 1e7, 1.0])
-    free = dataclasses.replace(
-        robot,
-        lower=np.array([-3.0, -math.inf, -math.inf]),
-        upper=np.array([3.0, math.inf, math.inf]),
-    )
-    (warning,) = effort_limit_warnings(free)
-    assert f'takes at most {MOST - 9.81 * 0.6 * 4.0:.3g} N m' in warning.text
-
-
-def test_the_reach_does_not_depend_on_the_direction_of_the_travel():
-    limit = 50.1 * MOST
-    text = str(effort_limit_warnings(reaching_arm([limit, 1.0, 1.0]))[0])
-    shorter = reaching_arm([limit, 1.0, 1.0], travel='-0.1')
-    # The travel of 0.2 m takes the place of that of 0.6 m for the second and the third link.
-    least = MOST - 9.81 * 0.4 * 4.0
-    assert f'at most {least:.3g} N m' in str(effort_limit_warnings(shorter)[0]) != text
+    ends = {'lower': [-3.0, lower, -math.inf], 'upper': [3.0, upper, math.inf]}
+    robot = dataclasses.replace(robot, **{name: np.array(each) for name, each in ends.items()})
+    (warning,) = effort_limit_warnings(robot)
+    # The travel moves the second and the third link, of 4 kg.
+    assert f'takes at most {MOST - 9.81 * (0.6 - travel) * 4.0:.3g} N m' in warning.text
 
 
 TEXT = ' effort limits of revolute joints are {} N m, which looks like a placeholder'

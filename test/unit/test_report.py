@@ -32,13 +32,6 @@ def test_report_contains_masses_limits_and_merged_links():
     assert 'No warnings.' in text
 
 
-def test_masses_of_links_add_up_to_those_of_bodies(urdf_path):
-    robot = load_urdf(urdf_path)
-    mass = np.zeros(len(robot.mass))
-    np.add.at(mass, robot.link_body, robot.link_mass)
-    assert mass == pytest.approx(robot.mass)
-
-
 def test_order_of_the_commands_leads_to_the_urdf():
     text = report_of(ARM, joints=['joint_4', 'joint_2'])
     assert '0        joint_4                  3' in text
