@@ -30,6 +30,7 @@ _COMMANDS = {
     },
     'with ROS 2': {
         'watch': 'watch a running node: do model and robot agree?',
+        'probe': 'push the joints of a live arm: do they move as commanded?',
         'simulate': 'simulate a robot, to try the node without hardware (needs MuJoCo)',
         'demo': 'run the node on a simulated robot, and judge the result (needs MuJoCo)',
     },
@@ -63,7 +64,7 @@ examples:
 exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
-_ROS_COMMANDS = 'payload', 'watch', 'simulate'  # commands that accept --ros-args
+_ROS_COMMANDS = 'payload', 'watch', 'probe', 'simulate'  # commands that accept --ros-args
 _PIP = "in a virtual environment, run pip install 'inverse_dynamics_node"
 _ADVICE = {
     **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), f"{_PIP}[cli]'"),

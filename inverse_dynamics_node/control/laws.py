@@ -179,6 +179,11 @@ class ComputedTorque(Law):
     is_closed = True
     gains = 'kd', 'kp'
 
+    def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
+        """Change the settings; ``of_joint`` is the result of `Settings.expanded`."""
+        super().apply(settings, of_joint)
+        self._reach = settings.effort_reach
+
     def forget(self) -> None:
         """Record that this law did not compute the last command."""
         super().forget()
@@ -195,13 +200,17 @@ class ComputedTorque(Law):
             return super()._inputs(q, qd, reference)
         qdd, positions = reference.accelerations, reference.positions
         velocities: Floats | float | None = reference.velocities
+        added = reference.efforts
         if positions is not None:
-            qdd = qdd + self._of_joint['kp'] * self.distance(q[self._index], positions)
+            distance = self.distance(q[self._index], positions)
+            qdd = qdd + self._of_joint['kp'] * distance
+            if self._reach:
+                added = np.where(-np.sign(added) * distance < self._reach, added, 0.0)
             if velocities is None:
                 velocities = 0.0  # without damping the arm would swing forever
         if velocities is not None:
             qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
-        return qd, qdd, reference.efforts
+        return qd, qdd, added
 
 
 class JointImpedance(Law):

@@ -124,6 +124,15 @@ class Settings:
         unit='rad, m',
         minimum=0.0,
     )
+    effort_reach: float = setting(
+        0.0,
+        'Distance from the reference beyond which `computed_torque` adds no efforts of the '
+        'reference. 0: unlimited',
+        'The effort of a joint ends when the joint is farther than this from the positions of the '
+        'reference, in the direction of the effort. `inverse_dynamics probe` uses this',
+        unit='rad, m',
+        minimum=0.0,
+    )
     velocity_filter_cutoff: float = setting(
         0.0,
         'Cutoff of the first-order low-pass for measured velocities. 0: no filter',
