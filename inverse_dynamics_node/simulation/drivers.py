@@ -56,6 +56,8 @@ class Driver:
 
     The simulation multiplies ``gains`` by the inertia of each joint in the start pose.
     """
+    has_position_loop: bool = False
+    """Whether the drives follow positions of their own, and add the efforts to that."""
     commands: str = 'forward_effort_controller/commands'
     """Topic of the commands."""
     joint_states: str = 'joint_states'
@@ -90,6 +92,9 @@ DRIVERS = {
     'dynamixel_current': Driver(command_unit=_MILLIAMPERE, measured_unit=_MILLIAMPERE, rate=100.0),
     'mujoco_ros2_control': Driver(rate=200.0, has_clock=True),
     'gz_ros2_control': Driver(commands='effort_controller/commands', rate=1000.0, has_clock=True),
+    'beside_a_position_controller': Driver(
+        gains=(150.0, 10.0), has_position_loop=True, rate=200.0
+    ),
     'isaac_sim': Driver(Form.NAMED_EFFORTS, commands='joint_command', rate=100.0, has_clock=True),
 }
 """
@@ -106,9 +111,9 @@ class Command(NamedTuple):
     efforts: Floats
     """Commanded efforts [N m or N]."""
     positions: Floats | None = None
-    """Commanded positions [rad or m] with `Form.MOTION`, otherwise None."""
+    """Commanded positions [rad or m] with `Form.MOTION` or a position loop, otherwise None."""
     velocities: Floats | None = None
-    """Commanded velocities [rad/s or m/s] with `Form.MOTION`, otherwise None."""
+    """Commanded velocities [rad/s or m/s] with `Form.MOTION` or a position loop, or None."""
 
 
 def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command:
@@ -127,6 +132,11 @@ def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command
         return Command(_finite('effort', message.data) / driver.command_unit)
     efforts, *motion = (_by_name(message, field, joints) for field in _FIELDS[driver.form])
     return Command(efforts / driver.command_unit, *motion)
+
+
+def read_motion(joints: Sequence[str], message: Any) -> tuple[Floats, Floats]:
+    """Return the positions and velocities of joints in a JointState, or raise a ValueError."""
+    return _by_name(message, 'position', joints), _by_name(message, 'velocity', joints)
 
 
 def _by_name(message: Any, field: str, joints: Sequence[str]) -> Floats:

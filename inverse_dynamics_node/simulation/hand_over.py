@@ -105,3 +105,36 @@ class HandOver:
         self._robot.stop()
         self._start = self._robot.positions()
         self._reach = np.zeros_like(self._start)
+
+
+class PositionLoop:
+    """
+    Moves a simulated robot whose drives follow positions, and add the commanded efforts.
+
+    The arm sags under its weight, as far as the gains of the drives permit, until efforts arrive.
+    Efforts act until others arrive, because a forward_command_controller holds them.
+    """
+
+    is_held = False
+    """Whether something rigid holds the robot."""
+
+    def __init__(self, actuation: Actuation) -> None:
+        self._actuation = actuation
+        start = actuation.robot.positions()[actuation.robot.command_index]
+        actuation.command = Command(np.zeros(len(start)), start, np.zeros(len(start)))
+
+    def command(self, command: Command, now: float) -> None:
+        """Handle efforts that arrive at the time ``now`` [s]."""
+        self._actuation.command = self._actuation.command._replace(efforts=command.efforts)
+
+    def follow(self, positions: Floats, velocities: Floats) -> None:
+        """Follow positions [rad or m] and velocities [rad/s or m/s], each of shape (m,)."""
+        motion = {'positions': positions, 'velocities': velocities}
+        self._actuation.command = self._actuation.command._replace(**motion)
+
+    def advance(self, now: float, duration: float) -> None:
+        """Advance the simulation from the time ``now`` by a duration [s]."""
+        steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
+        for _ in range(steps):
+            self._actuation.act()
+            self._actuation.robot.advance(duration / steps)

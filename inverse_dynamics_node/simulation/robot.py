@@ -46,8 +46,8 @@ from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from ..robot.urdf.checks import inertia_tensor, MOMENTS
 from ..ros.middleware import explained_start, LATCHED, start_ros
-from .drivers import Actuation, Driver, Form, IDEAL, read_command
-from .hand_over import HandOver, RELEASE
+from .drivers import Actuation, Driver, Form, IDEAL, read_command, read_motion
+from .hand_over import HandOver, PositionLoop, RELEASE
 from .mujoco import MujocoRobot
 from .trajectory import start_pose
 
@@ -85,7 +85,16 @@ class RobotNode(Node):
         joints = self.declare_parameter('joints', list(robot.joint_names), description).value
         self.robot = MujocoRobot(robot, start, friction=False, joints=joints)
         self._actuation = Actuation(self.robot, driver)
-        self._hand_over = HandOver(self._actuation, self.get_logger(), sways, release)
+        self._hand_over: HandOver | PositionLoop
+        holder = 'its position controller'
+        if driver.has_position_loop:
+            self._hand_over, holder = (
+                PositionLoop(self._actuation),
+                'the position loops of its drives',
+            )
+            self.create_subscription(JointState, '~/positions', self._on_positions, 10)
+        else:
+            self._hand_over = HandOver(self._actuation, self.get_logger(), sways, release)
         self._began: int | None = None
         self._elapsed = 0.0
         self._state = JointState(name=self.robot.state_names)
@@ -103,7 +112,7 @@ class RobotNode(Node):
         awaits = f'awaits commands on {self.resolve_topic_name("commands")}'
         if driver.form is Form.NONE:
             awaits = 'takes no commands'
-        self.get_logger().info(f'{robot.name!r} is held by its position controller, and {awaits}')
+        self.get_logger().info(f'{robot.name!r} is held by {holder}, and {awaits}')
 
     def advance(self, duration: float) -> None:
         """Advance the simulation by a duration [s], and publish the new state."""
@@ -134,6 +143,17 @@ class RobotNode(Node):
             self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD)
             return
         self._hand_over.command(command, self._elapsed)
+
+    def _on_positions(self, message: JointState) -> None:
+        """Let the position loops of the drives follow positions and velocities by name."""
+        try:
+            positions, velocities = read_motion(self.robot.command_names, message)
+        except ValueError as error:
+            text = f'positions ignored: {error}'
+            self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD)
+            return
+        if isinstance(self._hand_over, PositionLoop):
+            self._hand_over.follow(positions, velocities)
 
     def _on_payload(self, message: InertiaStamped) -> None:
         load = message.inertia

@@ -10,6 +10,7 @@ from fork_server import SERVER
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation.drivers import DRIVERS, Form
+from inverse_dynamics_node.simulation.trajectory import start_pose
 import numpy as np
 import pytest
 from robot_files import ROOT
@@ -222,3 +223,30 @@ def test_node_with_the_file_of_a_driver(run_node, robot, play, domain_id, name):
         arm.wait_for_text('no commands arrive, so the position controller')
         last = arm.commands[-1]
         assert set(last.data if arm.driver.form is Form.EFFORTS else last.effort) == {0.0}
+
+
+def test_efforts_beside_a_position_controller_end_the_sag(run_node, robot, play):
+    """Without the node, the arm sags as far as the gains of its drives permit; it never falls."""
+    arm = play('beside_a_position_controller')
+    start = start_pose(MODEL.robot, MODEL)
+    arm.wait_for_states()
+
+    def sag():
+        return np.abs(arm.positions() - start).max()
+
+    def rests():
+        return np.abs(in_order(arm.states[-1], 'velocity')).max() < 1e-4
+
+    robot.wait_until(lambda: sag() > 0.02 and rests(), 'an arm that sags')
+    before = sag()
+    path = ROOT / 'config' / 'robots' / 'beside_a_position_controller.yaml'
+    node = run_node(
+        *('--params-file', path, *options_of(path)),
+        robot_description_file=ARM,
+        joints=JOINTS,
+        state_timeout=1.0,
+    )
+    robot.wait_until(lambda: sag() < before / 20.0 and rests(), 'an arm that does not sag')
+    node.interrupt(signal.SIGINT)
+    assert robot.wait_for_end(node) == 0
+    robot.wait_until(lambda: abs(sag() - before) < 0.01 * before and rests(), 'the same sag')

@@ -34,6 +34,8 @@ CONVENTIONS = {
     'mujoco_ros2_control': (0.0, 1.0, 1.0, 1.0, (0.0, 0.0)),
     'gz_ros2_control': (0.0, 1.0, 1.0, 1.0, (0.0, 0.0)),
     'isaac_sim': (0.0, 1.0, 1.0, 1.0, (0.0, 0.0)),
+    # Its gains belong to positions on another topic; see test_position_loop.py.
+    'beside_a_position_controller': (0.0, 1.0, 1.0, 1.0, (0.0, 0.0)),
 }
 
 
