@@ -156,7 +156,10 @@ def as_line(observer: Observer, agreement: Agreement) -> str:
     if values := node_values(observer, agreement):
         words.append('dry run' if values['dry_run'] else values['state'])
         words.append(f'{_number(values["joint_state_rate"], 0)} Hz')
-    return escaped(f'{" ".join(words)}: {agreement_sentence(agreement)}')
+    # Wrong joints of a controller, and gravity that a driver adds, do not show in the efforts.
+    others = [each for each in values.get('problems', ()) if each['part'] == 'other nodes']
+    text = '; '.join([agreement_sentence(agreement), *(each['message'] for each in others)])
+    return escaped(f'{" ".join(words)}: {text}')
 
 
 def as_json(

@@ -19,6 +19,7 @@ from ..ros.graph import OtherNodes, SimulatedClock
 from .monitor import Monitor
 from .status_text import (
     activity,
+    describe_compensation,
     describe_implausible,
     describe_late,
     describe_lost_imu,
@@ -179,6 +180,7 @@ def _other_nodes(loop: ControlLoop | None, around: Surroundings) -> Part:
             'other nodes with this name': others.namesakes,
         },
         (Level.ERROR, around.objection),
+        (Level.WARN, describe_compensation(loop, others.names) if loop else ''),
         *((level, text) for text in problems),
     )
 

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
 _RECENT = 10.0  # [s]; a problem of the motion in a dry run is reported for this long
+# Controllers that only drivers with gravity compensation have, and the parameter files for them.
+_COMPENSATING = {
+    'franka_robot_state_broadcaster': 'franka_ros2',
+    'io_and_status_controller': 'ur',
+    'lbr_state_broadcaster': 'lbr_fri',
+}
 _NO_EFFORTS = 'position', 'velocity', 'acceleration'  # command interfaces of ros2_control
 _TURN_ERROR = 0.05  # [turns]; of a position that is whole turns away from its reference
 
@@ -247,6 +253,20 @@ def describe_controllers(loop: ControlLoop, controllers: Sequence[Controller]) -
     """Describe the controllers that expect other commands than the loop computes, or return ''."""
     texts = (_describe_controller(loop, each) for each in controllers)
     return '; '.join(text for text in texts if text)
+
+
+def describe_compensation(loop: ControlLoop, nodes: Sequence[str]) -> str:
+    """Name a node whose driver compensates gravity itself, although the commands contain it."""
+    if not loop.loads.include_gravity:
+        return ''
+    found = (name for name in nodes if name.rpartition('/')[2] in _COMPENSATING)
+    for name in found:
+        preset = f'config/robots/{_COMPENSATING[name.rpartition("/")[2]]}.yaml'
+        return (
+            f'{name} belongs to a driver that compensates gravity itself, but include_gravity is '
+            f'true, so the arm would get gravity twice: use the settings in {preset}'
+        )
+    return ''
 
 
 def _describe_controller(loop: ControlLoop, controller: Controller) -> str:

@@ -27,6 +27,8 @@ class OtherNodes(NamedTuple):
     """Names of the other nodes that publish the commands."""
     namesakes: int = 0
     """Number of other nodes with the name of this node."""
+    names: tuple[str, ...] = ()
+    """Names of all nodes."""
 
 
 class SimulatedClock(NamedTuple):
@@ -140,6 +142,7 @@ class Graph:
             subscribers=listed(self._subscribers(commands), _MOST_NAMES),
             rivals=listed(sorted(rivals & self._last_rivals), _MOST_NAMES),
             namesakes=max(0, min(namesakes, self._last_namesakes)),
+            names=tuple(nodes),
         )
         self._last_rivals, self._last_namesakes = rivals, namesakes
         return seen

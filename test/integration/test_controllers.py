@@ -3,6 +3,7 @@
 from contextlib import contextmanager
 import re
 import signal
+import subprocess
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fork_server import SERVER
@@ -76,6 +77,11 @@ def test_a_dry_run_goes_on_while_the_order_of_the_joints_is_wrong(run_node, robo
         assert values['joints of the controllers'] == f'/fec: {", ".join(NAMES[::-1])}'
         robot.wait_for_text(node, ORDER)
         assert re.search(rf'\[ERROR\] .*{re.escape(f"{ORDER}; {SET_ORDER}")}', node.output)
+        arguments = ['-m', 'inverse_dynamics_node.cli.main', 'watch', '--for', '2']
+        environment = {'ROS_DOMAIN_ID': str(domain_id)}
+        watch = SERVER.run(arguments, environment, stdout=subprocess.PIPE)
+        robot.wait_until(lambda: watch.poll() is not None, 'the end of watch')
+        assert f'{ORDER}; {SET_ORDER}' in watch.stdout.read()
         refused = robot.set_parameter('dry_run', False)
         assert not refused.successful
         assert refused.reason.startswith(f'the dry run goes on: {ORDER}; {SET_ORDER}')

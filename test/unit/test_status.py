@@ -615,6 +615,18 @@ def test_controllers_with_other_joints_are_described(joints, interface, words):
     assert status.values['joints of the controllers'] == f'/fec: {", ".join(joints)}'
 
 
+def test_a_driver_that_compensates_gravity_itself_is_named():
+    others = FINE.others._replace(names=('/arm', '/ns/franka_robot_state_broadcaster'))
+    node = Node().amid(others=others)
+    status = node.status()['other nodes']
+    assert status.level is WARN
+    words = '/ns/franka_robot_state_broadcaster belongs to a driver that compensates gravity'
+    assert words in status.message
+    assert 'config/robots/franka_ros2.yaml' in status.message
+    node.loop.loads.include(gravity=False)
+    assert node.status()['other nodes'].level is OK
+
+
 def test_a_joint_that_is_whole_turns_away_from_its_reference_is_named():
     arm = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
     q, zeros = np.full(7, 0.3), np.zeros(7)
