@@ -69,7 +69,6 @@ test-all: $(VENV)/test.done lint
 	$(call stage,library,$(LIBRARY))
 	$(call stage,fuzzing,--hypothesis-profile long --numprocesses 2 $(FUZZED))
 	$(call verdict,random events,test/random_driver.py --events 1000000)
-	$(call verdict,suspensions,test/suspensions.py)
 	$(call stage,node,-m 'not long' --numprocesses 6 $(NODE))
 	$(call stage,long tests of the node,-m long --numprocesses 1 $(NODE))
 	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
