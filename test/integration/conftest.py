@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from domain_coordinator import domain_id as unused_domain_id
 from fork_server import MAIN, SERVER
 from late_compilation import REPORT
-from node_process import NodeProcess, RUNNING
+from node_process import NodeProcess, PATIENCE, RUNNING
 from rclpy.context import Context
 from robot_side import RobotSide
 from stalls import StalledMachineError, StallMeter, TOLERATED
@@ -101,6 +101,21 @@ def run_node(domain_id):
     RUNNING.clear()
     for node in nodes:
         assert REPORT not in node.output, node.output
+
+
+@pytest.fixture
+def run_program(domain_id):
+    """Return a function that starts a program, whose arguments are those of `python`."""
+    processes = []
+
+    def run(*arguments, **files):
+        processes.append(SERVER.run(arguments, {'ROS_DOMAIN_ID': str(domain_id)}, **files))
+        return processes[-1]
+
+    yield run
+    for process in processes:
+        process.terminate()
+        process.wait(PATIENCE)
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from pathlib import Path
 import subprocess
 import sys
 
-from fork_server import SERVER
 from inverse_dynamics_node.ros import middleware
 from inverse_dynamics_node.ros.middleware import LOCAL_PROFILE, udp_settings
 from node_process import shared_memory_of
@@ -72,19 +71,14 @@ def test_a_node_keeps_the_transports_that_the_user_has_set(commanding, monkeypat
     assert shared_memory_of(commanding())
 
 
-def test_watch_uses_no_shared_memory(commanding, domain_id, robot):
+def test_watch_uses_no_shared_memory(commanding, run_program, robot):
     commanding()
     command = ['-m', 'inverse_dynamics_node.cli.main', 'watch', '--json']
-    environment = {'ROS_DOMAIN_ID': str(domain_id)}
-    process = SERVER.run(command, environment, stdout=subprocess.PIPE)
-    try:
-        os.set_blocking(process.stdout.fileno(), False)
-        robot.wait_until(process.stdout.buffer.readline, 'a line of watch')
+    process = run_program(*command, stdout=subprocess.PIPE)
+    with process.stdout as lines:
+        os.set_blocking(lines.fileno(), False)
+        robot.wait_until(lines.buffer.readline, 'a line of watch')
         assert shared_memory_of(process.pid) == []
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import time
 
-from fork_server import SERVER
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation.drivers import DRIVERS, Form
@@ -66,17 +65,13 @@ def swing(elapsed):
 class Robot:
     """The simulated robot behind a driver, and what it and the node publish."""
 
-    def __init__(self, name, domain_id, side, log):
+    def __init__(self, name, run_program, side, log):
         self.driver, self.side, self._log = DRIVERS[name], side, log
         # Fewer joint states than those of some drivers, on a machine with other work.
         command = ['simulate', ARM, '--driver', name, '--rate', min(self.driver.rate, 200.0)]
         with log.open('w') as output:
-            self.process = SERVER.run(
-                [*COMMANDS, *command],
-                {'ROS_DOMAIN_ID': str(domain_id)},
-                stdout=output.fileno(),
-                stderr=output.fileno(),
-            )
+            files = {'stdout': output.fileno(), 'stderr': output.fileno()}
+            self.process = run_program(*COMMANDS, *command, **files)
         self.states = side.listen(JointState, self.driver.joint_states)
         kind = Float64MultiArray if self.driver.form is Form.EFFORTS else JointState
         self.commands = []
@@ -159,29 +154,11 @@ def options_of(path):
     return list(itertools.chain.from_iterable(('-r', remap) for remap in remaps))
 
 
-@pytest.fixture
-def play(domain_id, robot, tmp_path):
-    """Return a function that starts a simulated robot behind a driver."""
-    robots = []
-
-    def start(name):
-        robots.append(Robot(name, domain_id, robot, tmp_path / 'robot.log'))
-        return robots[-1]
-
-    yield start
-    for each in robots:
-        each.process.terminate()
-        each.process.wait(30.0)
-
-
-def verdict(domain_id, side):
+def verdict(run_program, side):
     """Return the exit code and the last line of `watch`."""
     for seconds in ('3', '5', '15', '30'):
-        process = SERVER.run(
-            [*COMMANDS, 'watch', '/inverse_dynamics', '--for', seconds, '--rate', '1'],
-            {'ROS_DOMAIN_ID': str(domain_id)},
-            stdout=subprocess.PIPE,
-        )
+        watch = ['watch', '/inverse_dynamics', '--for', seconds, '--rate', '1']
+        process = run_program(*COMMANDS, *watch, stdout=subprocess.PIPE)
         side.wait_until(lambda ended=process.poll: ended() is not None, 'end of watch')
         code, last = process.wait(), process.communicate()[0].splitlines()[-1]
         if (
@@ -192,8 +169,8 @@ def verdict(domain_id, side):
 
 
 @pytest.mark.parametrize('name', KINDS)
-def test_node_with_the_file_of_a_driver(run_node, robot, play, domain_id, name):
-    arm = play(name)
+def test_node_with_the_file_of_a_driver(run_node, robot, run_program, tmp_path, name):
+    arm = Robot(name, run_program, robot, tmp_path / 'robot.log')
     path = ROOT / 'config' / 'robots' / f'{FILES.get(name, name)}.yaml'
     node = run_node(
         *('--params-file', path, *options_of(path)),
@@ -204,7 +181,7 @@ def test_node_with_the_file_of_a_driver(run_node, robot, play, domain_id, name):
     )
     robot.wait_for_text(node, 'dry run: floating')
     arm.wait_for_states()
-    code, last = verdict(domain_id, robot)
+    code, last = verdict(run_program, robot)
     if arm.driver.measures_gravity:
         assert (code, 'model and robot agree' in last) == (6, True), last
     else:  # almost nothing is left at rest

@@ -170,33 +170,6 @@ def test_a_clock_before_zero_is_ignored(run_node, robot):
     assert node.process.poll() is None
 
 
-@pytest.fixture
-def storm(domain_id):
-    """Return a function that starts a storm of messages, which ends with the test."""
-    processes = []
-
-    def begin(seconds):
-        for seed in range(2):
-            processes.append(
-                SERVER.run(
-                    [
-                        ROOT / 'test/storm.py',
-                        *('--messages', 1_000_000_000),
-                        *('--seconds', seconds),
-                        *('--seed', seed),
-                    ],
-                    {'ROS_DOMAIN_ID': str(domain_id)},
-                    stdout=subprocess.PIPE,
-                )
-            )
-        return processes
-
-    yield begin
-    for process in processes:
-        process.terminate()
-        process.wait()
-
-
 def test_a_queue_that_never_becomes_empty_is_interrupted(robot):
     executor = EventsExecutor(context=robot.context)
     count = [0]
@@ -217,13 +190,21 @@ def test_a_queue_that_never_becomes_empty_is_interrupted(robot):
         executor.shutdown()
 
 
-def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, storm):
+def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, run_program):
     # Its log is not read: bytes that are not a message make the middleware write a lot.
     node = start(domain_id, None, **LOSING)
     try:
         robot.publish_state(NAMES, Q, ZERO)
         robot.wait_for_command(HOLD)
-        processes = storm(2.0 * PATIENCE)
+        storm = [
+            ROOT / 'test/storm.py',
+            '--messages',
+            10**9,
+            '--seconds',
+            2.0 * PATIENCE,
+            '--seed',
+        ]
+        processes = [run_program(*storm, seed, stdout=subprocess.PIPE) for seed in range(2)]
         # Each prints a line as soon as it has found all subscriptions.
         lines = {process.stdout for process in processes}
         robot.wait_until(

@@ -1,9 +1,6 @@
 """The node, as a process, stops an arm that runs away, until it is enabled again."""
 
-from contextlib import contextmanager
-
 from diagnostic_msgs.msg import DiagnosticStatus
-from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
 import numpy as np
 import pytest
@@ -12,9 +9,12 @@ from robot_side import LATCHED, ZERO
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
-from test_soft_stop import PATIENCE, run_moving_arm
+from test_soft_stop import run_moving_arm
 
 ARM = ROOT / 'test/robots/seven_dof.urdf'
+# Takes its commands from a relay.
+SIMULATE = ['-m', 'inverse_dynamics_node.cli.main', 'simulate', ARM, '--ros-args']
+SIMULATE += ['-r', 'commands:=relay/commands']
 JOINTS = load_urdf(ARM).joint_names
 
 
@@ -45,21 +45,6 @@ def test_a_driver_whose_states_arrive_late_stops_the_arm(run_node, robot):
     )
 
 
-@contextmanager
-def simulated(domain_id):
-    """Run a simulated robot that takes its commands from a relay."""
-    remap = ['-r', 'commands:=relay/commands']
-    process = SERVER.run(
-        ['-m', 'inverse_dynamics_node.cli.main', 'simulate', str(ARM), '--ros-args', *remap],
-        {'ROS_DOMAIN_ID': str(domain_id)},
-    )
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait(PATIENCE)
-
-
 def relay_commands(robot, faulty='', order=slice(None)):
     """Pass commands on to the simulated robot, with a wrong sign or in another order."""
     factor = np.where(np.array(JOINTS) == faulty, -1.0, 1.0)
@@ -73,33 +58,33 @@ def relay_commands(robot, faulty='', order=slice(None)):
 
 
 @pytest.mark.parametrize('fault', ['sign', 'order'])
-def test_wrong_commands_stop_the_arm(domain_id, run_node, robot, fault):
+def test_wrong_commands_stop_the_arm(run_program, run_node, robot, fault):
     """One command with the wrong sign, and commands in alphabetical order."""
     pytest.importorskip('mujoco')
     faults = {'sign': {'faulty': 'elbow'}, 'order': {'order': np.argsort(JOINTS)}}
     relay_commands(robot, **faults[fault])
     states = robot.listen(JointState, 'joint_states')
-    with simulated(domain_id):
-        robot.wait_until(lambda: states, 'the simulated robot')
-        node = run_node(robot_description_file=str(ARM), start_ramp=0.1, state_timeout=0.5)
-        robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
-        robot.wait_for_text(node, ': stopped: ')
-        robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+    run_program(*SIMULATE)
+    robot.wait_until(lambda: states, 'the simulated robot')
+    node = run_node(robot_description_file=str(ARM), start_ramp=0.1, state_timeout=0.5)
+    robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
+    robot.wait_for_text(node, ': stopped: ')
+    robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
 
 
-def test_damping_that_drives_the_base_yaw_is_stopped(domain_id, run_node, robot):
+def test_damping_that_drives_the_base_yaw_is_stopped(run_program, run_node, robot):
     """The yaw carries no weight, so that a wrong sign shows only in motion."""
     pytest.importorskip('mujoco')
     relay_commands(robot, JOINTS[0])
     held = []
     robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
     parameters = {'start_ramp': 0.1, 'state_timeout': 0.5, 'stop_damping': 50.0}
-    with simulated(domain_id):
-        node = run_node(robot_description_file=str(ARM), **parameters)
-        robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
-        assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
-        robot.wait_for_text(node, ': stopped: ')
-        robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
-        reason = node.output.partition(': stopped: ')[2]
-        assert reason.startswith(JOINTS[0])
-        assert 'moved at' in reason
+    run_program(*SIMULATE)
+    node = run_node(robot_description_file=str(ARM), **parameters)
+    robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+    robot.wait_for_text(node, ': stopped: ')
+    robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+    reason = node.output.partition(': stopped: ')[2]
+    assert reason.startswith(JOINTS[0])
+    assert 'moved at' in reason

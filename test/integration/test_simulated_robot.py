@@ -3,7 +3,6 @@
 import signal
 import time
 
-from fork_server import SERVER
 from geometry_msgs.msg import Inertia, InertiaStamped
 from lxml import etree
 from node_process import shared_memory_of
@@ -153,30 +152,14 @@ def at(link):
     return Header(frame_id=link)
 
 
-@pytest.fixture
-def simulate(domain_id, tmp_path):
-    """Return a function that runs `inverse_dynamics simulate`; it returns process and log."""
-    processes = []
-
-    def start(path, *arguments):
-        log = tmp_path / 'log'
-        program = ['-m', 'inverse_dynamics_node.cli.main', 'simulate', path, '--rate', RATE]
-        with log.open('w') as output:
-            environment = {'ROS_DOMAIN_ID': str(domain_id)}
-            processes.append(
-                SERVER.run([*program, *arguments], environment, stderr=output.fileno())
-            )
-        return processes[-1], log
-
-    yield start
-    for process in processes:
-        process.kill()
-        process.wait()
+SIMULATE = ['-m', 'inverse_dynamics_node.cli.main', 'simulate', '--rate', RATE]
 
 
 @pytest.mark.long
-def test_process_survives_commands_that_are_far_too_large(simulate, robot):
-    process, log = simulate(STANFORD, *COMMANDS)
+def test_process_survives_commands_that_are_far_too_large(run_program, robot, tmp_path):
+    log = tmp_path / 'log'
+    with log.open('w') as output:
+        process = run_program(*SIMULATE, STANFORD, *COMMANDS, stderr=output.fileno())
     states = robot.listen(JointState, 'joint_states')
 
     def log_has(text):
@@ -228,7 +211,7 @@ def without_mass(path, joints):
     ],
 )
 def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
-    simulate, run_node, robot, tmp_path, path, held, has_mass
+    run_program, run_node, robot, tmp_path, path, held, has_mass
 ):
     """The arm stays in place if the node's description has this mass, and falls without it."""
     description = tmp_path / 'description.urdf'
@@ -237,7 +220,7 @@ def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
     joints = f'[{", ".join(names)}]'
     states, brakes = robot.listen(JointState, 'joint_states'), []
     robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
-    simulate(path, *COMMANDS, '-p', f'joints:={joints}')
+    run_program(*SIMULATE, path, *COMMANDS, '-p', f'joints:={joints}')
     node = run_node(
         robot_description_file=f"'{description}'",
         mode='gravity_compensation',

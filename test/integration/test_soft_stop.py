@@ -1,11 +1,9 @@
 """Stops of a node that damps the motion of the arm: all four ways, and what ends the damping."""
 
-from contextlib import contextmanager
 import signal
 import subprocess
 import time
 
-from fork_server import SERVER
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 import numpy as np
@@ -149,12 +147,11 @@ def test_a_second_signal_ends_the_damping(run_node, robot):
     assert 'stop damping ended' not in node.output
 
 
-# Simulated arms
-
-
-@contextmanager
-def simulated(domain_id, path, start):
-    """Run a simulated robot that is held at first."""
+def test_an_arm_is_parked(run_program, run_node, robot):
+    path, _, start = HORIZONTAL_ARMS['gripper_arm']
+    states, brakes = [], []
+    robot.node.create_subscription(JointState, 'joint_states', states.append, 1000)
+    robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
     remap = ['--ros-args', '-r', 'commands:=inverse_dynamics/commands']
     arguments = f'{str(path)!r}, IDEAL, {RATE}, {remap}, start={list(start)}, release=0.3'
     code = (
@@ -162,37 +159,23 @@ def simulated(domain_id, path, start):
         'from inverse_dynamics_node.simulation.robot import simulate\n'
         f'simulate({arguments})'
     )
-    process = SERVER.run(['-c', code], {'ROS_DOMAIN_ID': str(domain_id)})
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait(PATIENCE)
-
-
-def test_an_arm_is_parked(domain_id, run_node, robot):
-    path, _, start = HORIZONTAL_ARMS['gripper_arm']
-    states, brakes = [], []
-    robot.node.create_subscription(JointState, 'joint_states', states.append, 1000)
-    robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
-    with simulated(domain_id, path, start):
-        node = run_node(
-            robot_description_file=f"'{path}'",
-            mode='computed_torque',
-            start_ramp=0.1,
-            state_timeout=1.0,
-            stop_damping=DAMPING,
-            stop_ramp=2.0,
-        )
-        robot.wait_until(lambda: brakes and not brakes[-1], 'a robot that follows')
-        example = [ROOT / 'examples' / 'park.py', 0.4, 'arm_2=1.2', 'arm_4=-0.6']
-        environment = {'ROS_DOMAIN_ID': str(domain_id)}
-        parking = SERVER.run(example, environment, stdout=subprocess.PIPE)
-        robot.wait_until(lambda: parking.poll() is not None, 'end of the example')
-        output, _ = parking.communicate(PATIENCE)
-        assert parking.wait() == 0, output
-        assert 'parked: efforts ramp down to zero' in output
-        robot.wait_for_text(node, 'ramping efforts down: disabled by ~/enable')
-        at = dict(zip(states[-1].name, states[-1].position, strict=True))
+    run_program('-c', code)  # a robot that is held at first
+    node = run_node(
+        robot_description_file=f"'{path}'",
+        mode='computed_torque',
+        start_ramp=0.1,
+        state_timeout=1.0,
+        stop_damping=DAMPING,
+        stop_ramp=2.0,
+    )
+    robot.wait_until(lambda: brakes and not brakes[-1], 'a robot that follows')
+    example = [ROOT / 'examples' / 'park.py', 0.4, 'arm_2=1.2', 'arm_4=-0.6']
+    parking = run_program(*example, stdout=subprocess.PIPE)
+    robot.wait_until(lambda: parking.poll() is not None, 'end of the example')
+    output, _ = parking.communicate(PATIENCE)
+    assert parking.wait() == 0, output
+    assert 'parked: efforts ramp down to zero' in output
+    robot.wait_for_text(node, 'ramping efforts down: disabled by ~/enable')
+    at = dict(zip(states[-1].name, states[-1].position, strict=True))
     assert (at['arm_2'], at['arm_4']) == pytest.approx((1.2, -0.6), abs=0.2)
     assert at['arm_1'] == pytest.approx(start[0], abs=0.2)

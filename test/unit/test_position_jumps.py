@@ -52,6 +52,8 @@ def test_full_turns_are_no_jumps_of_continuous_joints_only():
     text = (ROOT / 'test/robots/seven_dof.urdf').read_text()
     wheels = load_urdf(text.replace('"revolute"', '"continuous"'))
     assert not any(jumps(times, wrapped, robot=wheels))
+    turned = 2.0 * np.pi * np.outer([0, 2, -1], np.ones(N))
+    assert not any(jumps([0.0, 0.005, 0.01], turned, robot=wheels))
     wraps = (np.abs(np.diff(wrapped, axis=0)) > np.pi).any(axis=1)
     assert wraps.any()
     assert jumps(times, wrapped) == [False, *wraps]
