@@ -78,10 +78,12 @@ def _clearances(collisions: Collisions | None, q: Floats) -> list[str]:
     """Return notes about collisions, and about the space that the links need."""
     if collisions is None:
         return ['collisions were NOT checked: the package coal is missing (pip install coal)']
-    notes = [
-        f'the links keep {1e3 * CLEARANCE:g} mm from each other, from the floor and from boxes, '
-        'also on the straight path to the start pose',
-    ]
+    notes = ['collisions were NOT checked: no links have shapes that could collide']
+    if collisions.has_pairs:
+        notes = [
+            f'the links keep {1e3 * CLEARANCE:g} mm from each other, from the floor and from '
+            'boxes, also on the straight path to the start pose'
+        ]
     notes += [
         f'{words}: {listed(names)}'
         for words, names in (

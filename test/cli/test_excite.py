@@ -45,7 +45,7 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
     assert 'effort' not in (here / 'stanford_excite.yaml').read_text()
     for words in (
         'Expected standard errors of one run',
-        'the links keep 20 mm from each other, from the floor and from boxes',
+        'collisions were NOT checked: no links have shapes that could collide',
         'not checked, because they have no readable shape: ',
         'noise',
     ):
@@ -81,6 +81,14 @@ def test_the_output_says_so_if_collisions_cannot_be_checked(here, capsys, monkey
     assert 'collisions were NOT checked: the package coal is missing' in capsys.readouterr().out
     assert excite('--box', '1', '0', '0', '1', '1', '1', '--force') == 1
     assert '--box needs the package coal: pip install coal' in capsys.readouterr().err
+
+
+def test_the_output_says_what_the_links_keep_from(here, capsys):
+    (here / 'arm.urdf').write_text(SHAPED)
+    assert main(['excite', 'arm.urdf', '--floor', '-1', '--joints', *NAMES[:2]]) == 0
+    printed = capsys.readouterr().out
+    assert 'the links keep 20 mm from each other, from the floor and from boxes' in printed
+    assert 'space that the links need: x ' in printed
 
 
 def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):

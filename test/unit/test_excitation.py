@@ -109,7 +109,7 @@ def test_missing_limits_are_assumed_and_reported():
     assert np.isinf(limits.efforts).all()
     notes = ' '.join(limits.notes)
     assert 'joints with a range of more than one turn move within one turn: hinge' in notes
-    assert 'a speed limit of 1 rad/s (prismatic joints: 0.25 m/s) is assumed' in notes
+    assert 'joints without a speed limit move with at most 1 rad/s or 0.25 m/s: hinge' in notes
     slide = load_urdf(ROBOTS / 'cartesian.urdf')
     assert slide.is_prismatic_joint.any()
     object.__setattr__(slide, 'lower', np.full_like(slide.lower, -np.inf))

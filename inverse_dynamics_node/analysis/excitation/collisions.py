@@ -111,6 +111,11 @@ class Collisions:
         self._pairs, self._margins = self._pairs[~touching], self._margins[~touching]
         return unchecked, [name for name in kept_apart if name not in unchecked]
 
+    @property
+    def has_pairs(self) -> bool:
+        """Whether anything is checked."""
+        return len(self._pairs) > 0
+
     def hits(self, q: Floats) -> Iterator[tuple[int, int]]:
         """Yield the indices of pose and pair for each collision; q has shape (poses, joints)."""
         import coal

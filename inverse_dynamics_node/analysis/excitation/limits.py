@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import ConfigurationError, listed
 from ...robot.kinematics import path_to
-from ...robot.model import Floats, RobotModel
+from ...robot.model import Booleans, Floats, RobotModel
 from ..sizing import joint_ranges
 
 FRACTION = 0.8
@@ -78,7 +78,7 @@ def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits
 
     """
     notes: list[str] = []
-    lower, upper, speeds = _ranges(robot, notes)
+    lower, upper, speeds, assumed = _ranges(robot)
     low, high = joint_ranges(robot)
     positions = np.where((low <= 0.0) & (high >= 0.0), 0.0, 0.5 * (lower + upper))
     still = {  # joints that cannot move, with the reason
@@ -88,6 +88,10 @@ def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits
     }
     names = _chosen(robot, joints, still, notes)
     index = robot.joint_indices(names)
+    for words, is_assumed in assumed.items():
+        if is_assumed[index].any():
+            joints = [robot.joint_names[i] for i in index if is_assumed[i]]
+            notes.append(f'{words}: {listed(joints)}')
     return MotionLimits(
         tuple(names),
         index,
@@ -100,8 +104,8 @@ def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits
     )
 
 
-def _ranges(robot: RobotModel, notes: list[str]) -> tuple[Floats, Floats, Floats]:
-    """Return lower, upper and speed limits; append the assumptions to `notes`."""
+def _ranges(robot: RobotModel) -> tuple[Floats, Floats, Floats, dict[str, Booleans]]:
+    """Return lower, upper and speed limits, and for which joints something is assumed."""
     slides = robot.is_prismatic_joint
     lower, upper = joint_ranges(robot)
     unbounded = slides & ~(np.isfinite(lower) & np.isfinite(upper))
@@ -110,22 +114,18 @@ def _ranges(robot: RobotModel, notes: list[str]) -> tuple[Floats, Floats, Floats
     lower = np.where(unbounded, start, lower)
     upper = np.where(unbounded, start + ASSUMED_SLIDE, upper)
     middle, half = 0.5 * (lower + upper), 0.5 * FRACTION * (upper - lower)
-    assumed = np.where(slides, ASSUMED_SPEED[1], ASSUMED_SPEED[0])
-    speeds = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, assumed)
+    speeds = np.where(slides, ASSUMED_SPEED[1], ASSUMED_SPEED[0])
+    speeds = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, speeds)
     endless = ~slides & ~(robot.upper - robot.lower <= 2.0 * math.pi)
-    for condition, words in (
-        (endless, 'joints with a range of more than one turn move within one turn'),
-        (unbounded, f'joints without position limits move within a range of {ASSUMED_SLIDE:g} m'),
-        (
-            ~np.isfinite(robot.velocity_limits),
-            f'a speed limit of {ASSUMED_SPEED[0]:g} rad/s (prismatic joints: '
-            f'{ASSUMED_SPEED[1]:g} m/s) is assumed for joints without a limit',
+    turning, sliding = ASSUMED_SPEED
+    assumed = {
+        'joints with a range of more than one turn move within one turn': endless,
+        f'joints without position limits move within {ASSUMED_SLIDE:g} m': unbounded,
+        f'joints without a speed limit move with at most {turning:g} rad/s or {sliding:g} m/s': (
+            ~np.isfinite(robot.velocity_limits)
         ),
-    ):
-        found = [robot.joint_names[i] for i in np.flatnonzero(condition)]
-        if found:
-            notes.append(f'{words}: {listed(found)}')
-    return middle - half, middle + half, FRACTION * speeds
+    }
+    return middle - half, middle + half, FRACTION * speeds, assumed
 
 
 def _not_of_arm(robot: RobotModel) -> dict[str, str]:
