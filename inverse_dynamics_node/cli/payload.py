@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import suppress
 from functools import partial
-from itertools import count
 import json
 from pathlib import Path
 import sys
-from typing import TextIO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
-from ..analysis.diagnosis import GravityConvention
 from ..analysis.payload import measure_payload, PayloadEstimate
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..errors import ConfigurationError, escaped, RecordingError
@@ -185,6 +182,11 @@ def _check_files(options: argparse.Namespace) -> None:
         except argparse.ArgumentTypeError as error:
             raise OutputError(str(error)) from None
         outputs['--record'] = options.loaded
+        if _partial(options.loaded).exists():
+            raise OutputError(
+                f'{_partial(options.loaded)} already exists: another recording writes it, or '
+                'ended early; if no recording runs, remove the file'
+            )
     check_outputs([*filter(None, inputs)], outputs, options.force)
 
 
@@ -195,59 +197,35 @@ def _record(options: argparse.Namespace, robot: RobotModel) -> NodeStatus:
 
     wanted = None if options.apply is True else options.apply
     path, seconds = options.loaded, options.record
-    replaced = _identity(path)
     with observing_node(options.ros_arguments) as node:
         observer = Observer(node, choose_node(node, wanted, is_patient=False))
         recorder = JointStateRecorder(observer)
         with progress(f'waiting for the joint states of {observer.name}'):
             recorder.wait(robot.joint_names)
-        before = _checked_status(observer, robot)
+        status = _checked_status(observer, robot)
         text = f'recording {recorder.topic} for {seconds:g} s'
         print(text, file=sys.stderr, flush=True)
+        # A file that exists belongs to another recording, which may still be running.
         with (
-            _partial_file(path) as file,
+            _partial(path).open('x', newline='', encoding='utf-8') as file,
             collected_signals() as signals,
             progress(text) as report,
         ):
             reason = recorder.record(file, seconds, lambda: bool(signals), report)
-        after = _checked_status(observer, robot)
-    written = Path(file.name)
-    if _identity(path) != replaced:
-        reason = reason or f'this is not {path}, which another command has written meanwhile'
-    elif not reason or not path.exists():
-        # A recording that ended early must not replace a complete recording.
-        written = written.replace(path)
+    # A recording that ended early must not replace a complete recording.
+    written = _partial(path) if reason and path.exists() else _partial(path).replace(path)
     states = f'{recorder.count} joint states in {recorder.duration:.1f} s'
     print(f'{written}: {states}', file=sys.stderr)
     if signals:
         raise SystemExit(128 + signals[0])
     if reason:
         raise RecordingError(f'{written}: {reason}')
-    if _content(before) != _content(after):
-        raise RecordingError(
-            f'{written}: {observer.name} changed its settings for measured efforts during the '
-            'recording'
-        )
-    return after
+    return status
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
-    """Return what changes when another command writes a file; None if it does not exist."""
-    if not path.exists():
-        return None
-    status = path.stat()
-    return status.st_ino, status.st_mtime_ns
-
-
-def _partial_file(path: Path) -> TextIO:
-    """Open a new file for a recording that is not complete, such as run_partial.csv."""
-    for number in count():
-        suffix = f'_{number + 1}' if number else ''
-        with suppress(FileExistsError):
-            return path.with_name(f'{path.stem}_partial{suffix}.csv').open(
-                'x', newline='', encoding='utf-8'
-            )
-    raise AssertionError
+def _partial(path: Path) -> Path:
+    """Return the path that a recording has until it is complete."""
+    return path.with_name(f'{path.stem}_partial.csv')
 
 
 def _checked_status(observer: Observer, robot: RobotModel) -> NodeStatus:
@@ -260,11 +238,6 @@ def _checked_status(observer: Observer, robot: RobotModel) -> NodeStatus:
             f'the URDF of the command line has {", ".join(robot.joint_names)}'
         )
     return status
-
-
-def _content(status: NodeStatus) -> tuple[GravityConvention, dict[str, float]]:
-    """Return the gravity convention and the scales of the measured efforts."""
-    return reported_convention(status), status.measured_scale()
 
 
 def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:

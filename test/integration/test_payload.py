@@ -108,17 +108,17 @@ def test_ctrl_c_ends_the_recording(run_node, robot, payload, ended, tmp_path):
     assert np.all(recording.efforts == np.arange(7.0))
 
 
-def test_two_recordings_of_one_file_are_both_kept(run_node, robot, payload, ended, tmp_path):
+def test_a_second_recording_of_a_file_is_refused(run_node, robot, payload, ended, tmp_path):
     hold(robot, np.arange(7.0))
     robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
     first = payload('run.csv', '--record', '1000')
     robot.wait_until((tmp_path / 'run_partial.csv').exists, 'the first recording')
-    second = payload('run.csv', '--record', '1000')
-    robot.wait_until((tmp_path / 'run_partial_2.csv').exists, 'the second recording')
-    for process in (first, second):
-        process.send_signal(signal.SIGINT)
-        ended(process)
-    assert {path.name for path in tmp_path.iterdir()} == {'run.csv', 'run_partial_2.csv'}
+    code, output = ended(payload('run.csv', '--record', '1000', '--force'))
+    assert code == 2
+    assert 'run_partial.csv already exists: another recording writes it' in output
+    first.send_signal(signal.SIGINT)
+    assert ended(first)[0] == 130
+    assert [path.name for path in tmp_path.iterdir()] == ['run.csv']
 
 
 def test_the_description_has_to_be_that_of_the_node(run_node, robot, payload, ended, tmp_path):
