@@ -94,7 +94,7 @@ class NominalRun:
             states.append(self._measure(hardware, condition))
             if condition in ('pauses', 'bursts') and t >= next_pause:
                 paused_until, next_pause = t + PAUSE, t + random.uniform(0.2, 1.0)
-            if mode == 'soft stop' and t >= stops_at and not loop.is_stopping:
+            if mode == 'soft stop' and t >= stops_at and not loop.supervisor.is_stopping:
                 loop.stop()
             waiting.append(states[max(0, k - round(DELAY / PERIOD) * (condition == 'delay'))])
             if t >= paused_until:

@@ -148,7 +148,7 @@ class Runaway:
 
     def _act(self, now):
         """Begin the soft stop, or continue the reference: a sine that begins smoothly."""
-        if self.mode == 'soft_stop' and not self.loop.is_stopping:
+        if self.mode == 'soft_stop' and not self.loop.supervisor.is_stopping:
             self.loop.stop()
         if self.mode not in ('computed_torque', 'joint_impedance') or self.reason:
             return

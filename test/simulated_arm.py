@@ -117,7 +117,7 @@ class SoftStop(SimulatedArm):
             super().measure(self.sign * late)
 
     def step(self):
-        if self.time >= STOP and not self.loop.is_stopping:
+        if self.time >= STOP and not self.loop.supervisor.is_stopping:
             self.loop.stop()
         command = super().step()
         self.commands.append(command.efforts.copy())

@@ -110,11 +110,6 @@ class Supervisor:
         """Change the settings and the law."""
         self._settings, self._law = settings, law
 
-    def start(self) -> None:
-        """Return to the phase `WAITING`, and end a stop and a limit stop."""
-        self.resume()
-        self.phase = Phase.WAITING
-
     def stop(self) -> None:
         """Stop until `resume`."""
         self.is_stopping = True
@@ -162,10 +157,6 @@ class Supervisor:
                 self.stop_at_limit(self.is_behind)
                 self.phase = Phase.LIMIT_STOP
         return self.phase
-
-    def fail(self) -> None:
-        """Record that the law has found no finite efforts."""
-        self.phase = Phase.NO_SOLUTION
 
     def _judge(
         self, now: float, state: State, reference: Reference | None, was_near: bool
@@ -359,15 +350,10 @@ class ControlLoop:
         """Whether the last command contains a nonzero effort, or stop damping is active."""
         return bool(self.shaper.command.any()) or self.stop_damping.is_active
 
-    @property
-    def is_stopping(self) -> bool:
-        """Whether a stop has been requested; the efforts may still be ramping down."""
-        return self.supervisor.is_stopping
-
     def stop(self) -> None:
         """Drop the reference, ramp the efforts to zero, and keep them at zero until `resume`."""
         self.reference = None
-        if not self.is_stopping and self.phase in COMPUTING_PHASES:
+        if not self.supervisor.is_stopping and self.phase in COMPUTING_PHASES:
             self.stop_damping.begin(self.settings, self.of_joint['effort_scale'], self.limits)
         self.supervisor.stop()
 
@@ -390,7 +376,8 @@ class ControlLoop:
     def _restart(self) -> None:
         self.reference, self._last_added = None, (0.0, 0.0)
         self.motion_problem = '', -math.inf
-        self.supervisor.start()
+        self.supervisor.resume()
+        self.supervisor.phase = Phase.WAITING
         self.stop_damping.end()
         self.law.reset()
         self.shaper.reset()
@@ -421,7 +408,7 @@ class ControlLoop:
         if is_wanted:
             dry_run.begin(self.shaper.time_to_fall)
             return True
-        was_stopping, reason = self.is_stopping, self.supervisor.limit_stop
+        was_stopping, reason = self.supervisor.is_stopping, self.supervisor.limit_stop
         self._restart()
         if reason:
             self.limit_stop(reason)
@@ -453,7 +440,7 @@ class ControlLoop:
             law.forget()
             report = self._fall(now, state)
         elif not self._follow(now, state, self.reference if phase is Phase.RUNNING else None):
-            self.supervisor.fail()
+            self.supervisor.phase = Phase.NO_SOLUTION
             report = self._fall(now, state)
         sent = self.dry_run.select(shaper.command, shaper.clock.step)
         if sent is self._result.sent and not report and not events.lost_velocities:

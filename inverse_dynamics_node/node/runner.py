@@ -232,7 +232,7 @@ class LoopRunner:
         assert self.loop is not None
         if self.loop.dry_run.is_active or self.configuration.dry_run:
             return self.loop.dry_run.has_sent
-        is_computing = self.loop.phase in COMPUTING_PHASES and not self.loop.is_stopping
+        is_computing = self.loop.phase in COMPUTING_PHASES and not self.loop.supervisor.is_stopping
         return not is_computing and self.loop.has_effort
 
     def _watch_after(self, wait: float) -> None:

@@ -255,7 +255,7 @@ def _reference(now: float, loop: ControlLoop, around: Surroundings) -> Part:
     fine = 'followed' if loop.phase is Phase.RUNNING else 'no reference is used'
     is_too_far = around.is_active and loop.phase in TOO_FAR_PHASES
     return _part(
-        'disabled' if loop.is_stopping else fine,
+        'disabled' if loop.supervisor.is_stopping else fine,
         {
             'age [s]': now - loop.reference.time if loop.reference else 'never',
             'timeout [s]': loop.settings.reference_timeout,

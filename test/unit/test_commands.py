@@ -540,7 +540,7 @@ def test_settings_change_completely_or_not_at_all():
 @pytest.mark.parametrize(
     ('joints', 'robot', 'words'),
     [
-        (['low', 'middle'], LIFT, "'middle', expected only movable joints of robot 'lift' that m"),
+        (['low', 'middle'], LIFT, "joint 'middle' does not exist; joints are low, high"),
         (['low', 'low'], LIFT, 'lists a joint twice: low, low'),
         ([], NOTHING_MOVES, "'rock' has no movable joints"),
     ],
