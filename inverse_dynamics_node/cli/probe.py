@@ -37,7 +37,7 @@ an effort that rises slowly until the joint has moved by 2 mrad (2 mm). Keep the
 your hand. During the probe, the node uses its strictest motion limits: an arm that moves by more
 than 30 mrad (30 mm), or faster than 1 rad/s (1 m/s), is stopped. At the first fault, the efforts
 fall to zero at once; an arm without brakes drops. At the end, the parameters of the node are those
-of before.
+of before. After Ctrl-C, the arm floats on.
 
 examples:
   inverse_dynamics probe
@@ -186,14 +186,12 @@ def _run(
     probe = Probe(dynamics, joints, most, period, judges_scale=not has_gains)
     strict = node_parameters(robot, joints, probe.is_held, period)
     before = prober.parameters(list(strict))
-    is_right = False
     try:
         prober.set(strict)
         prober.measurements()  # those that are old by now
         _follow(prober, observer, probe, dynamics, joints, scale, period, signals)
-        is_right = not signals and _code(probe, joints) != _FAULT
     finally:
-        if not is_right:
+        if _code(probe, joints) == _FAULT:
             prober.disable()
         prober.set(before)
     return probe

@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 import json
+import signal
 import subprocess
 
 from fork_server import SERVER
@@ -95,6 +96,21 @@ def test_wrong_commands_end_the_probe_with_zero_efforts(domain_id, run_node, rob
         assert found[joint]['verdict'] == verdict, result
         assert fault == 'sign' or found[joint]['moved'] == ['joint_1']
         robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+
+
+def test_an_arm_floats_on_after_an_interruption(domain_id, run_node, robot):
+    with floating_arm(robot, domain_id, run_node):
+        with program(domain_id, 'probe') as process:
+            robot.wait_until(
+                lambda: robot.get_parameter('mode') == 'computed_torque', 'the strict limits'
+            )
+            process.send_signal(signal.SIGINT)
+            robot.wait_until(lambda: process.poll() is not None, 'the end of the probe')
+        assert process.returncode == 130
+        assert robot.get_parameter('mode') == 'gravity_compensation'
+        count = len(robot.commands)
+        robot.wait_until(lambda: len(robot.commands) > count + 50, 'commands')
+        assert np.any(robot.commands[-1])
 
 
 def test_a_dry_run_is_not_probed(domain_id, run_node, robot):
