@@ -19,9 +19,9 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 _SAMPLES = 4096
 _STARTS = 5
 """The search for a worst pose starts from this many of the worst samples."""
-_SWEEPS = 3
+_SWEEPS = 4
 """Number of times that the search for a worst pose moves every joint."""
-_MOST_JOINTS = 100
+_MOST_JOINTS = 80
 """With more joints, the worst of the samples is the result: a search would take minutes."""
 _THIRDS = np.array([0.0, 2.0, 4.0]) * math.pi / 3.0
 _TIE = 1e-9

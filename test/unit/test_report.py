@@ -5,6 +5,7 @@ from inverse_dynamics_node.errors import ConfigurationError, JointStateError, Ur
 from inverse_dynamics_node.report.robot_tables import model_report, model_tables
 from inverse_dynamics_node.report.tables import (
     effort_unit,
+    fraction,
     table,
     warnings_about,
     warnings_as_text,
@@ -125,6 +126,15 @@ def test_warnings_with_the_same_hint_are_grouped():
         '    -> shorten it',
     ]
     assert warnings_as_text([]) == 'No warnings.'
+
+
+@pytest.mark.parametrize(
+    ('effort', 'text'),
+    [(0, '0%'), (99.4, '99%'), (-99.6, '99.6%'), (100, '100%'), (100.4, '100.4%'), (101, '101%')],
+)
+def test_percentages_near_the_limit_have_a_decimal(effort, text):
+    assert fraction(effort, 100.0) == text
+    assert fraction(effort, np.inf) == '-'
 
 
 def test_a_joint_may_have_the_name_of_the_base():
