@@ -62,6 +62,7 @@ INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>'
 L2_INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>'
 ZERO = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
 L2_INERTIAL = f'<inertial>\n      <mass value="1"/>\n      {L2_INERTIA}\n    </inertial>'
+L1_INERTIAL = re.search('<inertial>.*?</inertial>', GOOD, re.S)[0]
 BASE, L3, END = '<link name="base"/>', '<link name="l3"/>', '</robot>'
 BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
 FIXED = '<joint name="j4" type="fixed"><parent link="base"/><child link="l3"/></joint>'
@@ -414,6 +415,8 @@ STILL_LOADS = {
     'two origins': (ORIGIN, ORIGIN + '<origin xyz="1 2 3" rpy="1 1 1"/>'),
     'frame of 1e-9 kg': (
         L3, f'<link name="l3"><inertial><mass value="1e-9"/>{ZERO}</inertial></link>'),
+    'fixed part of a mass of zero': (
+        L3, f'<link name="l3"><inertial><mass value="0"/>{ZERO}</inertial>{BOX}</link>'),
     'declaration of version 0.0': ('version="1.0"', 'version="0.0"'),
     'declaration without version': (' version="1.0"', ''),
     'declaration after an empty line': ('<?xml', '\n<?xml'),
@@ -496,8 +499,8 @@ WARNINGS = [
     (ORIGIN, '<Origin xyz="0 0 1"/>', "joint 'j2': <Origin> is ignored; URDF spells it"),
     (L3, f'<link name="l3">{BOX}</link>',
      "line 17: link 'l3': has a shape but no <inertial>; it is treated as massless"),
-    (L3, f'<link name="l3"><inertial><mass value="0"/>{ZERO}</inertial>{BOX}</link>',
-     "line 17: link 'l3': has a shape but a mass of zero; it is treated as massless"),
+    (L1_INERTIAL, f'<inertial><mass value="0"/>{ZERO}</inertial>{BOX}',
+     "line 4: link 'l1': has a shape but a mass of zero; it is treated as massless"),
     ('izz="0.01"', 'izz="0.05"', f'{NOT_A_BODY} 0.02, 0.02, 0.05 kg m^2'),
     (INERTIA, INERTIA.replace('ixy="0"', 'ixy="0.03"'), f'{NOT_A_BODY} -0.01, 0.01, 0.05 kg m^2'),
     (MASS, '<mass value="0"/>',

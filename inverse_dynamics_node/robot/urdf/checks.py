@@ -364,8 +364,8 @@ def check(root: Element) -> Problems:
         else:
             _check_other(element, '', children_read(root), problems)
     _check_mimic_loops(joints, problems)
-    held = _check_tree(root, links, problems)
-    _warn_of_massless_shapes([links[name] for name in held], inertials, problems)
+    for name, joint in _check_tree(root, links, problems).items():
+        _warn_of_massless_shape(links[name], joint, inertials.get(name), problems)
     _warn_of_odd_inertias(inertials, problems)
     _warn_of_placeholders(inertials, problems)
     return problems
@@ -395,8 +395,10 @@ def _check_name(element: Element, problems: Problems) -> str | None:
 # ---- The tree ------------------------------------------------------------------------------
 
 
-def _check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> list[str]:
-    """Check that the joints connect all links into one tree; return the links with a parent."""
+def _check_tree(
+    root: Element, links: Mapping[str, Element], problems: Problems
+) -> dict[str, Element]:
+    """Check that the joints connect all links into one tree; return the joint of each link."""
     holders: dict[str, Element] = {}
     below: dict[str, list[str]] = {name: [] for name in links}
     joints, all_ends_known = children(root, 'joint'), True
@@ -419,7 +421,7 @@ def _check_tree(root: Element, links: Mapping[str, Element], problems: Problems)
         problems.error_of_all('the robot has one link and no joints: nothing to command')
     elif all_ends_known:  # otherwise a broken joint explains why a link is not connected
         _check_roots([name for name in links if name not in holders], below, problems)
-    return list(holders)
+    return holders
 
 
 def _ends_of(
@@ -496,29 +498,28 @@ _FRACTION_ALIKE = 0.8
 """If at least this fraction of the links with mass have equal values, warn of placeholders."""
 
 
-def _warn_of_massless_shapes(
-    held: list[Element], inertials: Mapping[str, _Inertial], problems: Problems
+def _warn_of_massless_shape(
+    link: Element, joint: Element, inertial: _Inertial | None, problems: Problems
 ) -> None:
     """
-    Warn of links that have a shape but neither mass nor inertia.
+    Warn of a link that has a shape but neither mass nor inertia.
 
-    Links without a shape are assumed to be mere frames. The root link is not checked, because it
-    may be the ground.
+    Links without a shape are assumed to be mere frames. A mass of zero may be intended if a fixed
+    joint holds the link. The root link is not checked, because it may be the ground.
 
     """
+    if link.find('visual') is None and link.find('collision') is None:
+        return
+    is_empty = inertial is not None and not (inertial.mass or any(inertial.moments))
+    if link.find('inertial') is None:
+        lacks = 'no <inertial>'
+    elif is_empty and joint.get('type') != 'fixed':
+        lacks = 'a mass of zero'
+    else:
+        return
+    text = f'has a shape but {lacks}; it is treated as massless'
     hint = 'add an <inertial> from CAD; without it, the weight of this link is not compensated'
-    for link in held:
-        if link.find('visual') is None and link.find('collision') is None:
-            continue
-        found = inertials.get(link.get('name'))
-        if link.find('inertial') is None:
-            lacks = 'no <inertial>'
-        elif found is not None and not (found.mass or any(found.moments)):
-            lacks = 'a mass of zero'
-        else:
-            continue
-        text = f'has a shape but {lacks}; it is treated as massless'
-        problems.warning(link.sourceline, _label(link), text, hint)
+    problems.warning(link.sourceline, _label(link), text, hint)
 
 
 def _warn_of_odd_inertias(inertials: Mapping[str, _Inertial], problems: Problems) -> None:
