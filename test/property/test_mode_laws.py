@@ -43,6 +43,7 @@ class Case:
         self.arm.at(0.0, self.before)
         limits = MotionLimits(self.arm.loop.dynamics, self.index.tolist())
         self.arm.loop.motion_limits = limits  # the joints do not jump to `q`
+        self.arm.change()
         self.efforts = self.arm.at(0.01, self.q, self.qd, self.reference)
         assert self.arm.phase is not Phase.NO_SOLUTION
 
