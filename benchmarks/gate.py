@@ -16,13 +16,11 @@ import json
 from pathlib import Path
 
 from inverse_dynamics_node import InverseDynamics, RobotModel
+from inverse_dynamics_node.analysis.diagnosis.gate import check_agreement, Gate, StateRate
 from inverse_dynamics_node.analysis.diagnosis.live import (
     Agreement,
-    check_agreement,
-    Gate,
     LiveSamples,
     Outcome,
-    StateRate,
 )
 from inverse_dynamics_node.control.contact import CUTOFF
 from inverse_dynamics_node.robot.model import Floats

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 import gc
 import json
 import math
@@ -13,15 +14,14 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from ..analysis.diagnosis.compensation import compensating_driver
+from ..analysis.diagnosis.gate import check_agreement, Gate, StateRate
 from ..analysis.diagnosis.live import (
     Agreement,
-    check_agreement,
     DURATION,
-    Gate,
     LiveWindow,
     Obstacle,
     Outcome,
-    StateRate,
 )
 from ..report.diagnosis_text import agreement_sentence
 from . import arguments
@@ -223,7 +223,8 @@ class _Watch:
             return Agreement(Outcome.UNDECIDED, cause, reason=reason)
         requested = status.number('loop', 'requested rate [Hz]')
         rate = StateRate(observer.state_rate, self.options.rate, requested, 'clock' in status)
-        return check_agreement(
+        convention = reported_convention(status)
+        agreement = check_agreement(
             self._reason(),
             rate,
             self.window.samples() if self.window else None,
@@ -232,9 +233,12 @@ class _Watch:
             self._limits(),
             status.names('model', 'joints'),
             [joint for joint, then in self._cut.items() if now < then + DURATION],
-            reported_convention(status),
+            convention,
             self._payloads(),
         )
+        robot = observer.robot.name if observer.robot else ''
+        maker = compensating_driver([robot, *observer.node_names()])
+        return replace(agreement, maker=maker if convention.in_commands else '')
 
     def _reason(self) -> str:
         """Return why efforts cannot be compared; return '' if they can."""
