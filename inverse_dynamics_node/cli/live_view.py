@@ -180,7 +180,6 @@ def as_json(
         'problem_values': [_known(value) for value in values],
         'problem_link': (fault.link or None) if fault else None,
         'unchecked_joints': {name: agreement.checks[name].value for name in agreement.unchecked},
-        'compensating_driver': agreement.maker or None,
         'saturated_joints': list(agreement.saturated),
         'status': node_values(observer, agreement) or None,
         'joints': joint_rows(observer, sample) if sample is not None else [],

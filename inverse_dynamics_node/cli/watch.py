@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import replace
 import gc
 import json
 import math
@@ -14,7 +13,6 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.diagnosis.compensation import compensating_driver
 from ..analysis.diagnosis.gate import check_agreement, Gate, StateRate
 from ..analysis.diagnosis.live import (
     Agreement,
@@ -223,8 +221,7 @@ class _Watch:
             return Agreement(Outcome.UNDECIDED, cause, reason=reason)
         requested = status.number('loop', 'requested rate [Hz]')
         rate = StateRate(observer.state_rate, self.options.rate, requested, 'clock' in status)
-        convention = reported_convention(status)
-        agreement = check_agreement(
+        return check_agreement(
             self._reason(),
             rate,
             self.window.samples() if self.window else None,
@@ -233,12 +230,9 @@ class _Watch:
             self._limits(),
             status.names('model', 'joints'),
             [joint for joint, then in self._cut.items() if now < then + DURATION],
-            convention,
+            reported_convention(status),
             self._payloads(),
         )
-        robot = observer.robot.name if observer.robot else ''
-        maker = compensating_driver([robot, *observer.node_names()])
-        return replace(agreement, maker=maker if convention.in_commands else '')
 
     def _reason(self) -> str:
         """Return why efforts cannot be compared; return '' if they can."""

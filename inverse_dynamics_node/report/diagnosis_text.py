@@ -506,11 +506,6 @@ def _compared(agreement: Agreement) -> str:
     text = _sizes(agreement)
     if not agreement.is_moving:
         text += ', at rest'
-    if agreement.maker:
-        text += (
-            f'. A driver of {agreement.maker} compensates gravity itself, which nothing measured '
-            'shows: set include_gravity to false, or the arm rises'
-        )
     return text
 
 

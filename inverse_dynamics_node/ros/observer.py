@@ -169,10 +169,6 @@ class Observer:
         self._read_efforts()
         return has_changed
 
-    def node_names(self) -> list[str]:
-        """Return the names of all nodes that this process has discovered."""
-        return list(self._node.get_node_names())
-
     @property
     def state_rate(self) -> float | None:
         """

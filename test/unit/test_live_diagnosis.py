@@ -4,10 +4,7 @@ The diagnosis of a few seconds of measured and modelled efforts.
 Faults and their sentences are in test_one_diagnosis.py.
 """
 
-from dataclasses import replace
-
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.diagnosis.compensation import compensating_driver
 from inverse_dynamics_node.analysis.diagnosis.fault import FaultKind, GravityConvention
 from inverse_dynamics_node.analysis.diagnosis.gate import check_agreement, Gate, StateRate
 from inverse_dynamics_node.analysis.diagnosis.live import (
@@ -331,26 +328,6 @@ def test_friction_shows_the_sign_of_a_joint_without_weight(joint):
     agreement = Gate().add(checked(flipped(moving, joint), robot))
     assert agreement.outcome is not Outcome.AGREE
     assert joint in {*agreement.unchecked, *(x for y in agreement.faults for x in y.joints)}
-
-
-@pytest.mark.parametrize(
-    ('names', 'maker'),
-    [
-        (['left_fr3'], 'Franka'),
-        (['panda'], 'Franka'),
-        (['arm', 'franka_control_node'], 'Franka'),
-        (['lbr_iiwa14_r820'], 'KUKA FRI'),
-        (['ur10e_robot'], 'UR'),
-        (['my_arm', 'ur_robot_driver'], 'UR'),
-        (['stanford', 'furniture', 'current_sensor', 'offer'], ''),
-    ],
-)
-def test_names_show_drivers_that_compensate_gravity(names, maker):
-    assert compensating_driver(names) == maker
-    robot, samples = samples_of(act=rubbing)
-    agreement = replace(judged(samples, robot), maker=maker)
-    hint = f'A driver of {maker} compensates gravity itself'
-    assert (hint in agreement_sentence(agreement)) is bool(maker)
 
 
 @pytest.mark.parametrize(

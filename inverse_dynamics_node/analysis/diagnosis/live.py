@@ -157,8 +157,6 @@ class Agreement:
     """Whether any compared joint moved in the window."""
     has_gravity: bool = True
     """Whether the modelled efforts contain gravity."""
-    maker: str = ''
-    """Maker of the robot, if its driver compensates gravity and the commands contain gravity."""
 
     @property
     def cause(self) -> FaultKind | Obstacle | None:
