@@ -308,7 +308,7 @@ class _Comparison:
         has_scale = any(fault.kind is FaultKind.SCALE for fault in faults)
         left, shown = search.unexplained(fit), search.shows_scale(fit)
         for j, c in enumerate(self.varying):
-            if left[j]:
+            if left[j] and search.rows.signals.moves[j]:
                 reasons[c] = 'the model does not explain the effort of this joint'
             elif has_scale and not shown[j]:
                 reasons[c] = 'the effort of this joint is in an unknown unit'
