@@ -98,7 +98,7 @@ class Search(Regression):
             yield h._replace(other_gravity=OF_MODEL), 2.0
         if not h.load and h.window is None:
             for link in self.rows.links:
-                yield h._replace(load=link), 12.0
+                yield h._replace(load=link), 8.0 if self.is_brief else 12.0
         if not h.is_tilted and h.window is None and has_gravity:
             yield h._replace(is_tilted=True), 4.0
         if not h.is_late and self.can_be_late and not self.is_brief:
