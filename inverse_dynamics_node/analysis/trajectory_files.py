@@ -254,13 +254,10 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
     for kind in _QUANTITIES:
         if all((joint, kind) in columns for joint in joints):
             arrays[kind] = np.stack([columns[joint, kind] for joint in joints], axis=1)
-    # PlotJuggler also writes a row for each time at which only other topics have values.
-    is_used = np.any(np.isfinite(arrays['position']), axis=1)
-    used: list[Any] = [None if each is None else each[is_used] for each in arrays.values()]
     unused = [f'{j}.{q}' for j, q in columns if j not in joints or arrays[q] is None]
     unused += others
     notes = (f'columns not used: {", ".join(unused)}',) if unused else ()
-    return LoadedTrajectory(Trajectory(tuple(joints), times[is_used], *used), notes)
+    return LoadedTrajectory(Trajectory(tuple(joints), times, *arrays.values()), notes)
 
 
 # ---- rosbag2 -------------------------------------------------------------------------------

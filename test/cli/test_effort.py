@@ -8,6 +8,7 @@ import re
 import textwrap
 
 from inverse_dynamics_node.analysis import trajectory_files
+from inverse_dynamics_node.analysis.recordings.measured_states import read_measured_states
 from inverse_dynamics_node.analysis.trajectory_files import FORMATS, read_trajectory
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
@@ -323,6 +324,14 @@ def test_reads_exports_of_plotjuggler_and_of_ros2_topic_echo(write, text, unused
     assert (trajectory.velocities is not None) == (',0.5,0.25,' in text)
     assert 'first point, which was at 1700000000.500 s' in notes[-1]
     assert unused in notes[0]
+
+
+@pytest.mark.parametrize('text', [PLOTJUGGLER, ECHOED.replace('0.5,0.25,\n', ',7.0,8.0\n')])
+def test_exports_are_recordings_too(write, text):
+    recording, _ = read_measured_states(write(text, 'a.csv'), ['joint_1', 'joint_3'])
+    assert recording.times == pytest.approx([0.0, 1.0])
+    assert recording.positions.tolist() == [[2.0, 1.0], [4.0, 3.0]]
+    assert recording.efforts[:, 1].tolist() == ([7.0, 8.0] if text == PLOTJUGGLER else [7.0, 7.0])
 
 
 # fmt: off

@@ -121,9 +121,9 @@ def read_csv(
 
     A column `<joint>` contains the first of `quantities`, such as 'position'. Columns of other
     joints are permitted. Files that PlotJuggler exports, and JointState messages as `ros2 topic
-    echo --csv` prints them, are read, too. With `allow_empty`, empty cells become NaN. Raise
-    RecordingError if the column `time` is missing or if a cell is not a number. Raise OSError if
-    the file cannot be opened.
+    echo --csv` prints them, are read, too. With `allow_empty`, empty cells become NaN, and rows
+    without any value of these joints are left out. Raise RecordingError if the column `time` is
+    missing or if a cell is not a number. Raise OSError if the file cannot be opened.
     """
     try:
         with path.open(newline='', encoding='utf-8-sig') as file:
@@ -164,7 +164,13 @@ def read_csv(
             raise RecordingError(f"{path}: two columns contain the {quantity} of joint '{joint}'")
         else:
             columns[joint, quantity] = values[:, k]
-    return CsvRecording(values[:, header.index('time')], columns, tuple(others))
+    times = values[:, header.index('time')]
+    known = [column for (joint, _), column in columns.items() if joint in joint_names]
+    if allow_empty and known:
+        # PlotJuggler also writes a row for each time at which only other topics have values.
+        is_used = np.any(np.isfinite(known), axis=0)
+        times, columns = times[is_used], {key: each[is_used] for key, each in columns.items()}
+    return CsvRecording(times, columns, tuple(others))
 
 
 def _plain(name: str, joint_names: Sequence[str], quantities: Sequence[str]) -> str:
