@@ -70,7 +70,7 @@ def draw_watch(name, scale, load):
 
 def draw_screen(ros, name):
     """Watch the node for a while, and write the last screen."""
-    options = argparse.Namespace(node=NODE, duration=WATCHED, rate=None, json=False)
+    options = argparse.Namespace(node=NODE, duration=WATCHED, rate=None, json=False, unchecked=[])
     watch = _Watch(Observer(ros, NODE), lambda: find_nodes(ros), options)
     while watch.observer.status is None or not watch.observer.status.is_computing:
         watch._poll()
