@@ -14,7 +14,7 @@ from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from robot_files import ROOT, STANFORD
+from robot_files import ROOT
 
 
 def robot(name):
@@ -27,13 +27,6 @@ def arrays(model):
 
 
 # ---- Look-ups ------------------------------------------------------------------------------
-
-
-def test_prismatic_joints_are_marked():
-    stanford = load_urdf(STANFORD)
-    expected = [False, False, True, False, False, False]
-    assert stanford.is_prismatic_joint.tolist() == expected
-    assert not stanford.is_prismatic_joint.flags.writeable
 
 
 def test_joints_and_links_are_found_by_name():
@@ -131,6 +124,7 @@ def test_mimicking_joints_follow_their_last_master():
     assert_allclose(model.multiplier, [0.0, 1.0, -2.0, 1.0, 1.0])
     assert_allclose(model.offset, [0.0, 0.0, 0.01, 0.015, 0.0])
     assert model.effort_limits.tolist() == [50.0, 10.0]
+    assert model.is_prismatic_joint.tolist() == [True, False]
 
 
 def test_friction_of_mimicking_joints_is_added_to_the_master():
@@ -138,13 +132,6 @@ def test_friction_of_mimicking_joints_is_added_to_the_master():
     # Power at the master's speed w: d_m (m w)^2 = (m^2 d_m) w^2, and c_m |m w| = (|m| c_m) |w|.
     assert_allclose(model.damping, [5.0, 0.04 + 4 * 0.02 + 1 * 0.01])
     assert_allclose(model.friction, [2.0, 0.06 + 2 * 0.03 + 1 * 0.005])
-
-
-def test_effort_limit_of_zero_means_unlimited():
-    text = (ROOT / 'test' / 'robots' / 'pendulum.urdf').read_text()
-    model = load_urdf(text.replace('effort="10" velocity="6"', 'effort="0" velocity="0.0"'))
-    assert model.effort_limits.tolist() == [math.inf]
-    assert model.velocity_limits.tolist() == [math.inf]
 
 
 @pytest.mark.parametrize(
