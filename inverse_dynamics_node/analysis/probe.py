@@ -46,6 +46,7 @@ _DRIFT_TIME, _DRIFT = 0.6, 0.001  # [s], [rad or m]; an arm that moves more does
 _STRAY = 0.005  # [rad or m]; a joint that has moved so far by itself is held
 _BALANCES = 4  # attempts to replace feedback by constant efforts
 _COASTING = 0.06  # [s]; the motion is observed for this long after a push
+_ROOM = 0.01  # [rad or m]; to the position limit, for a push
 _HOLD = 0.3  # [s]; how long the largest push lasts
 _UNLIMITED = 100.0  # [rad/s^2, m/s^2]; largest acceleration of a joint without effort limit
 _UNBALANCED = 0.25  # [efforts that hold the joint]; tolerated error of these efforts
@@ -58,6 +59,7 @@ _LARGEST_ERROR = 0.15  # standard error of a scale, as a fraction of the scale
 _FREE_MISFIT = 0.01  # the same for a motion that looks like one without dry friction
 _NO_FRICTION = 0.05  # of the largest push; a smaller friction is none
 _SHORT = 0.8  # [s]
+_DAMPED = 1.0  # of the motion; viscous friction that prevents more motion hides the inertia
 _MISFIT = 0.05  # of the sum of squares; a motion that differs more is not judged
 _CREEP = 0.15  # of the displacement; a joint that has moved less has not broken away
 
@@ -382,7 +384,7 @@ class Probe:
     def _has_room(self, k: int, direction: float) -> bool:
         """Return whether the joint is far enough from its position limit."""
         robot, i = self._dynamics.robot, self._index[k]
-        end = self._history[-1].q[i] + direction * LARGEST_MOTION
+        end = self._history[-1].q[i] + direction * _ROOM
         return bool(robot.is_continuous[i] or robot.lower[i] <= end <= robot.upper[i])
 
     def _moved(self, M: Floats, way: Floats) -> tuple[int | None, Floats]:
@@ -555,6 +557,8 @@ def _regress(
     residual = way - matrix / size @ factors
     variance = float(residual @ residual) / max(1, len(way) - 4)
     error = math.sqrt(variance * float(inverse[0] @ inverse[0])) / size[0]
+    if is_free and np.ptp(columns[3]) * factors[3] / size[3] > _DAMPED * np.ptp(way):
+        return math.nan, math.inf, math.inf  # a creep: friction takes the effort
     change = way - way[0]
     misfit = float(residual @ residual) / max(float(change @ change), 1e-300)
     return float(factors[0] / size[0]), float(error), misfit
