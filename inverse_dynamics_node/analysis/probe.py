@@ -41,7 +41,7 @@ _FIRST_JERK = 4.0  # [rad/s^3, m/s^3]; of a joint without friction when a push b
 _GROWTH = 3.0  # [1/s]; of a push that has become large
 _JERK, _DETECTION = 0.012, 0.012  # [rad or m], [s]; the joint may slip this far until it is seen
 _SETTLING, _WINDOW, _LONGEST = 0.25, 0.15, 2.0  # [s]; of the rest before a push
-_RESTING = 0.0002  # [rad or m]; motion within a window of a joint that rests
+_RESTING = 0.0005  # [rad or m]; motion within a window of a joint that rests
 _DRIFT_TIME, _DRIFT = 0.6, 0.001  # [s], [rad or m]; an arm that moves more does not float
 _STRAY = 0.005  # [rad or m]; a joint that has moved so far by itself is held
 _BALANCES = 4  # attempts to replace feedback by constant efforts
@@ -277,15 +277,15 @@ class Probe:
         loads: list[float] = []
         for direction in (1.0, -1.0):
             rests = yield from self._rest()
+            if self.is_held[k] and not self._drifts:
+                self.is_held[k] = False  # feedback would disturb the motion
+                rests = yield from self._rest()
             if self._stopped:
                 pushes.append(self._attribute(k, 0.0, 0))
                 break
             if not rests:
                 pushes.append(Push(Verdict.RESTLESS))
                 break
-            if not self._drifts:
-                self.is_held[k] = False  # feedback would disturb the motion
-                yield from self._wait(_WINDOW)
             if not self._has_room(k, direction):
                 pushes.append(Push(Verdict.NO_ROOM))
                 continue
@@ -350,10 +350,10 @@ class Probe:
         balances = _BALANCES
         yield from self._wait(_SETTLING)
         while not self._stopped:
-            count = max(2, round(_WINDOW / self._period))
+            count = max(5, round(_WINDOW / self._period))
             q = np.array([sample.q[self._index] for sample in self._history[-count:]])
-            half = count // 2
-            moved = np.abs(q[half:].mean(axis=0) - q[:half].mean(axis=0)).max()
+            means = [part.mean(axis=0) for part in np.array_split(q, 5)]
+            moved = np.ptp(means, axis=0).max()
             if not self.is_held.all():
                 stray = np.abs(q[-1] - self.start[self._index])
                 if np.any(stray[~self.is_held] > _STRAY):
@@ -371,7 +371,11 @@ class Probe:
                 yield from self._wait(_SETTLING)
                 continue
             if self._history[-1].time > begin + _LONGEST:
-                return False
+                if self._drifts:
+                    return False
+                self._drifts = True
+                self.is_held[:] = True
+                begin = self._history[-1].time
             yield
         return False
 
@@ -423,7 +427,7 @@ class Probe:
         breakaway, scale = fit_scale(times, net, side * direction * way)
         if verdict is Verdict.RIGHT:
             return Push(verdict, abs(breakaway), scale, names[moved], side)
-        return Push(verdict, effort, math.nan, names[moved], side, math.isfinite(scale))
+        return Push(verdict, effort, math.nan, names[moved], side, 0.1 < scale < 10.0)
 
     def _attribute(self, k: int, direction: float, begin: int) -> Push:
         """Find out which joint has moved when the node has stopped the arm."""
@@ -448,7 +452,10 @@ class Probe:
         verdicts = [push.verdict for push in pushes]
         error = math.nan
         if verdicts == [Verdict.RIGHT] * 2:
-            error = 0.5 * (pushes[0].effort - pushes[1].effort) + float(np.mean(loads))
+            error = float(np.mean(loads))
+            # If only one of the pushes shows the acceleration, the other was disturbed.
+            if len({math.isnan(push.scale) for push in pushes}) == 1:
+                error += 0.5 * (pushes[0].effort - pushes[1].effort)
         result = JointResult(name, verdicts[-1], pushes, error, load)
         if _contradict(pushes):
             return result._replace(verdict=Verdict.RESTLESS)
