@@ -154,7 +154,7 @@ def measure_payload(
             'joint moves'
         )
     joints = measured_joints(robot, [loaded, empty])
-    motions = [run.motion for run in prepare_all(robot, [loaded, empty], joints)[0]]
+    motions = [run.motion for run in prepare_all(robot, [loaded, empty], joints)]
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
     rests = [_rests(motion) for motion in motions]

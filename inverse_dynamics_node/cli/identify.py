@@ -7,9 +7,14 @@ from functools import partial
 import json
 from pathlib import Path
 
+import numpy as np
+
+from ..analysis.diagnosis import diagnose_recording, FaultKind
 from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.result import calibrated_urdf, identified_parameters
 from ..analysis.recordings.signals import Recording
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..report.diagnosis_text import diagnosis_warning
 from ..report.identification_report import (
     as_json,
     body_table,
@@ -27,6 +32,20 @@ from .pictures.identify import draw
 from .pictures.style import try_to_draw
 from .recordings import read_recording
 
+MOST_UNEXPLAINED = 0.5
+"""If the robot description leaves more of the efforts than this, causes are searched for."""
+LEAST_FACTOR = 0.2
+"""A smaller or negative factor of all efforts is not offered as a cause."""
+CAUSES = (
+    FaultKind.POSITIONS,
+    FaultKind.SIGN,
+    FaultKind.REVERSED_AXIS,
+    FaultKind.UNIT,
+    FaultKind.SCALE,
+    FaultKind.ORDER,
+    FaultKind.MOUNTING,
+    FaultKind.GRAVITY_COMPENSATED,
+)
 EPILOG = """\
 examples:
   inverse_dynamics identify my_arm.urdf rosbag2_2026_11_21 --output calibrated.urdf
@@ -106,7 +125,9 @@ def run(options: argparse.Namespace) -> int:
         options.force,
     )
     source = arguments.read_source_text(options.urdf)
-    robot = arguments.load_dynamics(source, options.gravity).robot
+    dynamics = arguments.load_dynamics(source, options.gravity)
+    robot = dynamics.robot
+    arguments.attach_payload(dynamics, options)
     payload = options.payload and (options.link or last_link(robot), *options.payload)
     found = [
         read_recording(path, robot, options.topic)
@@ -120,9 +141,18 @@ def run(options: argparse.Namespace) -> int:
         result = identify_parameters(
             robot, runs, unseen, options.gravity, payload, options.currents, report
         )
+    warnings = [
+        *causes(dynamics, result, runs[0]),
+        *dict.fromkeys(
+            warning
+            for recording in recordings
+            for warning in position_warnings(robot, recording.positions, recording.joint_names)
+        ),
+        *(ModelWarning(text, hint) for text, hint in result.warnings),
+    ]
     # The files come first, because a pipe such as `| head` may end the program during the report.
-    files = _write(result, source, options)
-    _show(result, notes, recordings)
+    files = _write(result, source, options, warnings)
+    _show(result, notes, warnings)
     print('\n'.join(files), end='\n' if files else '')
     names = ', '.join(path.name for path in options.recordings)
     drawing = partial(draw, result, f'{robot.name}: {names}')
@@ -131,21 +161,36 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def causes(
+    dynamics: InverseDynamics, result: IdentificationResult, recording: Recording
+) -> list[ModelWarning]:
+    """
+    Return what `compare` finds if the robot description explains little of the efforts.
+
+    Faults of masses and drives are left out, because these are identified.
+    """
+    measured = np.linalg.norm([joint.measured for joint in result.joints])
+    left = np.linalg.norm([joint.unseen.urdf for joint in result.joints])
+    if (result.accepted and left < MOST_UNEXPLAINED * measured) or result.are_currents:
+        return []
+    faults = diagnose_recording(dynamics, recording).faults
+    return [
+        diagnosis_warning(fault)
+        for fault in faults
+        if fault.kind in CAUSES
+        and not (
+            fault.kind in (FaultKind.UNIT, FaultKind.SCALE)
+            and (fault.is_every_joint or fault.kind is FaultKind.UNIT)
+            and min(fault.values, default=1.0) < LEAST_FACTOR
+        )
+    ]
+
+
 def _show(
-    result: IdentificationResult, notes: tuple[str, ...], recordings: list[Recording]
+    result: IdentificationResult, notes: tuple[str, ...], warnings: list[ModelWarning]
 ) -> None:
     say(f'{result.verdict}.')
     print()
-    warnings = [
-        *dict.fromkeys(
-            warning
-            for recording in recordings
-            for warning in position_warnings(
-                result.robot, recording.positions, recording.joint_names
-            )
-        ),
-        *(ModelWarning(text, hint) for text, hint in result.warnings),
-    ]
     if warnings:
         show(warnings_as_text(warnings))
     lines = (*summary_lines(result), *(f'{note}.' for note in notes))
@@ -155,12 +200,13 @@ def _show(
         body_table(result),
         table('Data', notes=lines),
     )
-    if result.advice:
-        show(table('To improve the result', notes=[f'- {x}' for x in result.advice]))
 
 
 def _write(
-    result: IdentificationResult, source: Path | str, options: argparse.Namespace
+    result: IdentificationResult,
+    source: Path | str,
+    options: argparse.Namespace,
+    warnings: list[ModelWarning],
 ) -> list[str]:
     """Write the files, and return a line of text for each file."""
     lines = []
@@ -172,7 +218,7 @@ def _write(
         write_file(options.parameters, identified_parameters(result).encode())
         lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
-        text = json.dumps(as_json(result), indent=2, ensure_ascii=False)
+        text = json.dumps(as_json(result, warnings), indent=2, ensure_ascii=False)
         write_file(options.json, f'{text}\n'.encode())
         lines.append(f'report: {options.json}')
     return lines

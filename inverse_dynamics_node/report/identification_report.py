@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..analysis.identification import BodyResult, IdentificationResult, JointResult
 from ..errors import significant
-from ..robot.model import Floats
+from ..robot.model import Floats, ModelWarning
 from .tables import motion_notes, table, with_error
 
 DETERMINED = 0.5
@@ -77,8 +77,9 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
         if terms.stiffness:
             value = with_error(terms.stiffness, terms.errors['stiffness'])
             notes.append(
-                f'{joint.name}: balancing a spring or counterweight takes {value} {force}/{unit} '
-                f'* (position - {terms.rest:.3g} {unit}).'
+                f'{joint.name}: an effort proportional to the position, as of a spring, a '
+                f'counterweight or cables: {value} {force}/{unit} * (position - '
+                f'{terms.rest:.3g} {unit}).'
             )
         if terms.coupling:
             notes.append(
@@ -179,8 +180,8 @@ def _millimetres(position: Floats) -> str:
 # ---- JSON ----------------------------------------------------------------------------------
 
 
-def as_json(result: IdentificationResult) -> dict[str, Any]:
-    """Return the result as values for JSON, in SI units."""
+def as_json(result: IdentificationResult, warnings: Sequence[ModelWarning]) -> dict[str, Any]:
+    """Return the result and the printed warnings as values for JSON, in SI units."""
     report: dict[str, Any] = _plain(
         {
             'robot': result.robot.name,
@@ -194,21 +195,17 @@ def as_json(result: IdentificationResult) -> dict[str, Any]:
                 {'name': name, 'value': value, 'standard_error': error}
                 for name, value, error in result.base_parameters
             ],
-            'velocity_lags': result.signals[0].lags,
             'cut_off_frequency': result.signals[0].cut_off,
             'weight_of_urdf': result.urdf_weight,
-            'tried_weights': [
-                {'weight': weight, 'loss': loss} for weight, loss in result.trials.items()
-            ],
+            'effort_scale': result.scale and result.scale[0],
             'effort_delay': result.delay,
             'effort_delay_error': result.delay_error,
             'effort_delay_removed': result.delay_removed,
             'smoothing_window': result.smoothing,
             'samples': result.sample_count,
             'duration': result.duration,
-            'warnings': [f'{text}: {hint}' for text, hint in result.warnings],
+            'warnings': [f'{warning}: {warning.hint}' for warning in warnings],
             'notes': notes_of(result),
-            'what_to_record_next': result.advice,
         }
     )
     return report

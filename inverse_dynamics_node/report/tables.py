@@ -138,12 +138,6 @@ def with_error(value: float, error: float) -> str:
 def motion_notes(motion: Motion) -> list[str]:
     """Return notes about ignored, repaired and doubtful data, without full stops."""
     notes = list(motion.notes)
-    if motion.lags:
-        late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())
-        notes.append(
-            f'recorded velocities lag behind the positions ({late}); velocities were derived from '
-            'the positions instead'
-        )
     if math.isfinite(motion.cut_off):
         notes.append(
             f'above about {motion.cut_off:.0f} Hz, the efforts contain neither signal nor noise: '

@@ -6,6 +6,7 @@ from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.cli.main import main
 import numpy as np
+import pytest
 from robot_files import ROOT
 from simulated_runs import write_csv
 import yaml
@@ -44,3 +45,39 @@ def test_writes_urdf_parameters_report_and_picture(here, capsys, size_of):
 def test_reports_a_recording_that_cannot_be_used(here, capsys):
     assert main(['identify', str(ROBOT), 'missing.csv']) == 1
     assert 'missing.csv: no such file or folder' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('mistake', 'expected'),
+    [
+        ('factor', ''),
+        ('mounting', 'tilted'),
+        ('sign', 'sign'),
+        ('order', 'in the wrong order'),
+        (None, ''),
+    ],
+)
+def test_the_cause_of_a_bad_fit_is_named(here, capsys, mistake, expected):
+    robot, rng = load_urdf(ROBOT), np.random.default_rng(0)
+    real = real_robot(robot, rng, 0.05)
+    motion = exciting_motion(robot, rng, 20.0, 50.0)
+    recording = record(real, motion, rng)
+    efforts = recording.efforts
+    if mistake == 'mounting':
+        efforts += real.efforts(*motion[1:], (9.8, 0.0, 0.0)) - real.efforts(*motion[1:])
+    elif mistake == 'factor':
+        efforts *= 0.1
+    elif mistake == 'sign':
+        efforts[:, 0] *= -1.0
+    elif mistake == 'order':
+        efforts[:] = efforts[:, ::-1].copy()
+    write_csv(here / 'run.csv', recording)
+    assert main(['identify', str(ROBOT), 'run.csv', '--json', 'report.json']) == 0
+    text = ' '.join(capsys.readouterr().out.split())
+    warnings = json.loads((here / 'report.json').read_text())['warnings']
+    if not expected:
+        assert not [warning for warning in warnings if 'too small' in warning]
+        assert mistake or warnings == []
+    else:
+        assert expected in warnings[0]
+        assert warnings[0][:30] in text

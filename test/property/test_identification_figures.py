@@ -1,7 +1,6 @@
 """The figures that `identify` prints, and what they depend on."""
 
 from dataclasses import replace
-import re
 
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import load_urdf
@@ -87,13 +86,26 @@ def test_widths_of_friction_are_three_times_the_noise_of_the_velocity():
     assert min(j.terms.width for j in identify_parameters(robot, [steps]).joints) > 0.13
 
 
-def test_a_common_factor_of_all_efforts_is_named():
-    robot, _, training = planar_run(spread=0.03)
-    more = training._replace(efforts=1.3 * training.efforts)
-    (text, _), *_ = identify_parameters(robot, [more]).warnings
-    factor = float(re.search('all efforts due to the links are (.*) times', text).group(1))
-    assert factor == pytest.approx(1.3, rel=0.03)
+@pytest.mark.parametrize(
+    ('factor', 'hint'),
+    [(0.9, 'the efforts is 11% too small'), (1.25, 'the efforts is 20% too large')],
+)
+def test_a_common_factor_of_all_efforts_is_named(factor, hint):
+    robot, _, training = planar_run(spread=1e-3, noise=0.01)
+    scaled = training._replace(efforts=factor * training.efforts)
+    result = identify_parameters(robot, [scaled])
+    assert result.scale[0] == pytest.approx(factor, rel=0.005)
+    ((text, found),) = result.warnings
+    assert text.startswith(f'all efforts are {result.scale[0]:.2f} ± ')
+    assert hint in found
+
+
+def test_a_common_factor_is_not_named_without_need():
+    robot, _, training = planar_run(spread=0.03, noise=0.01)
     assert identify_parameters(robot, [training]).warnings == ()
+    for factor in (-0.5, 0.1):
+        scaled = training._replace(efforts=factor * training.efforts)
+        assert identify_parameters(robot, [scaled]).scale is None
 
 
 def test_a_joint_that_is_worse_than_no_model_is_named():

@@ -1,5 +1,5 @@
 """
-Evaluates the fits on unseen data, collects the results, and suggests the next recordings.
+Evaluates the fits on unseen data, and collects the results.
 
 Unseen data are data that were not used for the fit. A fold is a fit that leaves out one block of
 the recordings.
@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...errors import significant
-from ...robot.model import Floats, RobotModel
+from ...robot.model import Floats
 from ...robot.rigid_body import PARAMETERS
 from ..columns import base_parameters
-from ..recordings.signals import Motion, rms
-from .drives import common_factor, fits_without_blocks, JointFit
-from .fit import mass_information, RobotFit, weights_of
+from ..recordings.signals import rms
+from .corrections import common_factor, link_factors
+from .fit import mass_information, RobotFit
 from .preparation import PreparedRecording, TrainingData
 from .regression import (
     ARMATURE,
@@ -47,25 +47,12 @@ LEAST_GAIN = 0.01
 LEAST_EXPLAINED = 0.1
 """Fraction of the effort variation that the identified model must explain."""
 
-SHORT = 20.0
-"""A longer recording is suggested if the total duration is below this value [s]."""
-SLOW = 0.2
-"""A joint is slow if its speed mostly stays below this fraction of the speed limit."""
-FAST_ENOUGH = 0.5
-"""A joint is fast enough if it exceeds this speed [rad/s or m/s]."""
-LITTLE = 0.5
-"""A mass needs more data if less than this fraction of its information comes from recordings."""
-MOST_ADVICE = 4
-"""Largest number of suggestions."""
-
 
 def evaluate(
     data: TrainingData,
     fit: RobotFit,
-    friction: JointFit,
+    friction: RobotFit,
     delay: tuple[float, float],
-    urdf_weight: float,
-    trials: dict[float, float],
     validation: Sequence[PreparedRecording],
 ) -> IdentificationResult:
     """
@@ -80,43 +67,39 @@ def evaluate(
     urdf = Model(identified.before, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     least = data.least_widths
     models = urdf, friction.model.exported(least), fit.model.exported(least)
-    folds = [
-        (without.exported(least), fit.without(block).exported(least))
-        for block, without in enumerate(fits_without_blocks(data.regression, friction))
-    ]
     training = _efforts(data, data.runs, models, (), 'the training data')
     if validation:
         text = 'recordings that were not used for the fit'
         unseen = _efforts(data, validation, models, (), text)
     else:
+        folds = [
+            [each.without(block).exported(least) for each in (friction, fit)]
+            for block in range(data.regression.block_count)
+        ]
         text = f'{len(folds)} blocks of the recordings, each predicted from the other blocks'
         unseen = _efforts(data, data.runs, models, folds, text)
     accepted = _explains(unseen) and _is_better(unseen)
-    covariance: Floats = np.asarray(np.linalg.inv(fit.hessian))
-    if accepted:
-        chosen, used, errors = models[2], fit.used, _standard_errors(fit, covariance)
-        spread = _spread([identified.joints for _, identified in folds])
-    else:
-        chosen, used, errors = models[1], friction.used, _friction_errors(data, friction)
-        spread = _spread([without.joints for without, _ in folds])
+    chosen = fit if accepted else friction
     named = [
         {name: float(own[k]) for name, k in _NAMES.items() if is_used[k]}
-        for own, is_used in zip(np.maximum(errors, spread), used, strict=True)
+        for own, is_used in zip(chosen.joint_errors(), chosen.used, strict=True)
     ]
-    runs = validation or data.runs
-    joints = tuple(_joint(data, j, chosen, named[j], training, unseen, runs) for j in range(m))
-    bodies = _bodies(problem, fit, covariance)
+    runs, model = validation or data.runs, models[2 if accepted else 1]
+    joints = tuple(_joint(data, j, model, named[j], training, unseen, runs) for j in range(m))
+    covariance: Floats = np.asarray(np.linalg.inv(fit.hessian))
+    scale = None if problem.currents else _scale(data, friction)
     return IdentificationResult(
         robot=identified.robot,
         calibrated=identified.robot_with(fit.model.bodies) if accepted else identified.robot,
         accepted=accepted,
         verdict=_verdict(accepted, unseen),
+        are_currents=problem.currents,
         joints=joints,
-        bodies=bodies,
+        bodies=_bodies(problem, fit, covariance),
         inertials=identified.link_inertials(fit.model.bodies) if accepted else {},
         unseen=unseen,
-        urdf_weight=urdf_weight,
-        trials=trials,
+        urdf_weight=fit.urdf_weight,
+        scale=scale,
         delay=delay[0],
         delay_error=delay[1],
         delay_removed=data.correction.delay,
@@ -125,8 +108,7 @@ def evaluate(
         duration=data.duration,
         signals=tuple(run.derived for run in [*data.runs, *validation]),
         base_parameters=_base_parameters(problem, fit, covariance),
-        warnings=_warnings(data, joints, fit, friction, accepted),
-        advice=what_to_record(data, bodies),
+        warnings=_warnings(data, joints, accepted, scale),
     )
 
 
@@ -137,45 +119,32 @@ def _efforts(
     folds: Sequence[Sequence[Model]],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; each fold predicts the block that it left out."""
-    motions = [run.motion for run in runs]
-    raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
-    regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
-    unsmoothed, (last,) = _predicted(data, raw, models[-1:], [fold[-1:] for fold in folds])
+    """
+    Return measured and predicted efforts.
+
+    In the block that a fold left out, the models of the fold replace the last two of `models`.
+
+    """
+    regression = Regression(data.problem, [run.motion for run in runs], 0.0, max(1, len(folds)))
+    # The delay of the efforts is kept, because the models do not contain a delay.
+    gains = data.correction.gains
+    measured = regression.with_efforts([run.motion.efforts * gains for run in runs]).efforts
+    raw = regression.with_efforts([run.motion.raw_efforts * gains for run in runs]).efforts
+    urdf, friction, identified = (regression.predict(model) for model in models)
+    for block, fold in enumerate(folds):
+        rows = regression.block == block
+        for values, model in zip((friction, identified), fold, strict=True):
+            values[rows] = regression.predict(model)[rows]
     return Unseen(
         _times(regression),
-        regression.efforts,
+        measured,
         urdf,
         friction,
         identified,
         description,
         smoothing=max(run.derived.window * run.derived.period for run in runs),
-        unsmoothed=rms(unsmoothed.efforts - last),
+        unsmoothed=rms(raw - identified),
     )
-
-
-def _predicted(
-    data: TrainingData,
-    motions: Sequence[Motion],
-    models: Sequence[Model],
-    folds: Sequence[Sequence[Model]],
-) -> tuple[Regression, list[Floats]]:
-    """
-    Return a regression, and the efforts that each model predicts.
-
-    In the block that a fold left out, the models of the fold replace the last entries of `models`.
-
-    """
-    regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
-    # The delay of the efforts is kept, because the models do not contain a delay.
-    gains = data.correction.gains
-    regression = regression.with_efforts([motion.efforts * gains for motion in motions])
-    efforts = [regression.predict(model) for model in models]
-    for block, fold in enumerate(folds):
-        rows = regression.block == block
-        for values, model in zip(efforts[-len(fold) :], fold, strict=True):
-            values[rows] = regression.predict(model)[rows]
-    return regression, efforts
 
 
 def _times(regression: Regression) -> Floats:
@@ -231,11 +200,10 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
             f'model leaves {unsmoothed} N m'
         )
     if not _explains(unseen):
+        explained = max(0.0, 1.0 - (totals[2] / _variation(unseen)) ** 2)
         return (
-            'The efforts are hardly related to the motion: on unseen data, the efforts vary by '
-            f'{significant(_variation(unseen))} N m, and the identified model leaves {identified} '
-            'N m unexplained. Check that the recording contains the efforts of the joints, '
-            'and that efforts and positions were measured at the same times. The masses of the '
+            f'On unseen data, the identified model explains {explained:.0%} of the variation of '
+            f'the efforts, which is {significant(_variation(unseen))} N m. The masses of the '
             'robot description are kept'
         )
     return (
@@ -300,36 +268,11 @@ def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple
     return tuple(names[problem.joints[k]] for k in others)
 
 
-def _spread(joints: Sequence[Floats]) -> Floats:
-    """
-    Return jackknife standard errors of the joint terms.
-
-    The errors include the effect of friction that changes between blocks. With one block, all
-    errors are zero.
-
-    """
-    values = np.array(joints)
-    return np.asarray(np.sqrt(max(len(values) - 1, 0)) * values.std(axis=0))
-
-
-def _standard_errors(fit: RobotFit, covariance: Floats) -> Floats:
-    """Return standard errors of the joint terms, with zero for terms that were not fitted."""
-    errors = np.zeros(fit.used.shape)
-    errors[fit.used] = np.sqrt(np.diagonal(covariance)[fit.model.bodies.size :])
-    return errors
-
-
-def _friction_errors(data: TrainingData, friction: JointFit) -> Floats:
-    """Return standard errors of the joint terms for the fit of friction alone."""
-    regression, model = data.regression, friction.model
-    weights = weights_of(regression.residual(model))
-    terms = regression.terms(model)
-    errors = np.zeros(friction.used.shape)
-    for j, used in enumerate(friction.used):
-        columns = terms[:, j][:, used]
-        covariance = np.linalg.pinv(weights[j] * columns.T @ columns)
-        errors[j, used] = np.sqrt(np.diagonal(covariance))
-    return errors
+def _scale(data: TrainingData, friction: RobotFit) -> tuple[float, float] | None:
+    """Return how many times as large as modelled all efforts are, with its error, or None."""
+    used = friction.used.copy()
+    used[:, ARMATURE] = data.moving
+    return common_factor(*link_factors(data.regression, friction.model, used))
 
 
 def _bodies(
@@ -377,9 +320,8 @@ def _base_parameters(
 def _warnings(
     data: TrainingData,
     joints: Sequence[JointResult],
-    fit: RobotFit,
-    friction: JointFit,
     accepted: bool,
+    scale: tuple[float, float] | None,
 ) -> tuple[tuple[str, str], ...]:
     problem = data.problem
     names = problem.identified.robot.joint_names
@@ -423,7 +365,17 @@ def _warnings(
         for group in _moved_together(data)
     ]
     warnings += _unexplained(joints, accepted)
-    warnings += _common_factor(data, fit, friction)
+    if scale is not None:
+        factor, error = scale
+        size = 'small' if factor < 1.0 else 'large'
+        warnings.append(
+            (
+                f'all efforts are {factor:.2f} ± {error:.2f} of the model',
+                f'if the robot description is right, the gain of the efforts is '
+                f'{abs(1.0 / factor - 1.0):.0%} too {size}. To find out, weigh a link, or record '
+                'a run with a known payload',
+            )
+        )
     return tuple(warnings)
 
 
@@ -451,68 +403,3 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
                 )
             )
     return warnings
-
-
-def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
-    """Warn if all efforts seem to be multiplied by a common factor."""
-    factor = common_factor(data.regression, fit, friction)
-    if data.problem.currents or factor is None:
-        return []
-    return [
-        (
-            f'all efforts due to the links are {factor:.2f} times as large as the robot '
-            'description predicts',
-            'this factor alone explains most of what the fit improves. The unit or gain '
-            'of the efforts is probably wrong, and the masses of the robot description are '
-            'probably right. To find out, weigh a link or record a run with a known payload',
-        )
-    ]
-
-
-# ---- What to record next --------------------------------------------------------------------
-
-
-def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
-    """Return suggestions for the next recording, most useful first."""
-    problem = data.problem
-    robot = problem.identified.robot
-    advice = [
-        f'{group} always moved in a fixed ratio; record a motion in which they move independently'
-        for group in _moved_together(data)
-    ]
-    speeds = np.max([np.quantile(np.abs(m.qd), 0.95, axis=0) for m in data.motions], axis=0)
-    for j, joint in enumerate(problem.joints):
-        name = robot.joint_names[joint]
-        unit = 'm/s' if robot.is_prismatic_joint[joint] else 'rad/s'
-        limit = float(robot.velocity_limits[joint])
-        if not data.moving[j]:
-            advice.append(
-                f'move {name} back and forth for 30 s, because its friction is still unknown'
-            )
-        elif speeds[joint] < min(SLOW * limit, FAST_ENOUGH):
-            goal = min(FAST_ENOUGH, 0.5 * limit)
-            advice.append(
-                f'move {name} at up to {goal:.2g} {unit} for another 30 s, because its speed '
-                f'exceeded {speeds[joint]:.2g} {unit} only 5 % of the time'
-            )
-    if data.duration < SHORT:
-        advice.append(
-            f'record at least 30 s, because these recordings last only {data.duration:.3g} s'
-        )
-    unknown = [
-        body for body in bodies if body.data_fraction < LITTLE and not _is_first(robot, body)
-    ]
-    if unknown:
-        names = ', '.join(body.link for body in unknown[:3])
-        advice.append(
-            'move all joints at the same time, in varied poses and with quick reversals, because '
-            f'the recordings hardly determine the mass of {names}; `inverse_dynamics excite` '
-            'plans such a motion'
-        )
-    return tuple(advice[:MOST_ADVICE])
-
-
-def _is_first(robot: RobotModel, body: BodyResult) -> bool:
-    """Return whether a body is attached to the base; its mass may then have no effect."""
-    number = int(robot.link_body[robot.link_index(body.link)])
-    return int(robot.parent[number]) == 0

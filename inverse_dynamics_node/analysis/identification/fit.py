@@ -8,7 +8,7 @@ bodies. A scalar form of the divergence keeps friction and armature positive. Th
 self-concordant, so Newton's method converges from any physically possible start.
 
 The divergence is multiplied by a factor, the weight of the robot description. Cross-validation
-with blocks of the recordings determines this weight.
+with blocks of the recordings determines this weight. A block is a contiguous part of a recording.
 
 References
 ----------
@@ -27,9 +27,9 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
 from ...robot.rigid_body import BASIS, PARAMETERS, pseudo_inertias
-from .regression import LOAD, Model, moved_by, Regression, SIGNED, TERMS
+from .regression import LOAD, Model, Regression, SIGNED, TERMS
 
-URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
+URDF_WEIGHTS = (1e3, 1e2, 1e1, 1e0, 1e-1, 1e-2)
 """
 Weights to try for the robot description in the fit, largest first.
 
@@ -37,10 +37,6 @@ With a weight of 1, a mass that the recordings do not determine has a standard e
 """
 EXPECTED_ERROR = 0.3
 """Expected relative error of masses in a robot description."""
-ENOUGH = 0.9
-"""A mass is determined if more than this fraction of the information comes from recordings."""
-MOST_GROWTH = 2.0
-"""Largest ratio of fitted to original mass, for masses that recordings do not determine."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
 """The solver stops when the squared Newton decrement is smaller than this."""
@@ -54,23 +50,49 @@ class RobotFit(NamedTuple):
     equations: Equations
     weights: Floats
     """Weight of the residuals of each joint, shape (joints,)."""
+    urdf_weight: float
+    """Weight of the divergence from the robot description."""
     used: Booleans
-    """Whether each term of each joint was fitted, shape (joints, 9)."""
+    """Whether each term of each joint was fitted, shape (joints, 6)."""
     model: Model
     unknowns: Integers
-    """Indices of the fitted unknowns; all unknowns are ten per body, followed by ten per joint."""
+    """Indices of the fitted unknowns; all unknowns are ten per body, followed by six per joint."""
     hessian: Floats
     """Inverse covariance of the unknowns."""
     prior: Prior
 
-    def again(self, equations: Equations, used: Booleans, start: Model) -> RobotFit:
-        """Repeat the fit with other equations and terms, but with the same weights."""
-        return solve(equations, self.weights, self.prior.weights, used, start)
+    def again(self, model: Model, used: Booleans) -> RobotFit:
+        """Repeat the fit with other shapes or terms, starting from a model."""
+        equations = self.equations
+        if model is not self.model:
+            equations = Equations(equations.regression, model)
+        return solve(equations, self.weights, self.urdf_weight, used, model)
 
     def without(self, block: int) -> Model:
         """Repeat the fit without one block of the recordings, and return the model."""
-        prior = self.prior.weights
-        return solve(self.equations, self.weights, prior, self.used, self.model, block).model
+        return solve(
+            self.equations, self.weights, self.urdf_weight, self.used, self.model, block
+        ).model
+
+    def unseen_losses(self) -> Floats:
+        """Return the squared residuals of left-out blocks, shape (blocks, joints)."""
+        blocks = range(self.equations.block_count)
+        return np.array([self.equations.squares(self.without(k), k) for k in blocks])
+
+    def joint_errors(self) -> Floats:
+        """
+        Return standard errors of the joint terms, with zero for terms that were not fitted.
+
+        The errors are the larger of those from the residuals and those from the spread between
+        fits without one block. The latter include friction that changes with time.
+
+        """
+        errors = np.zeros(self.used.shape)
+        variances = np.diagonal(np.linalg.inv(self.hessian))
+        errors[self.used] = np.sqrt(variances[self.model.bodies.size :])
+        count = self.equations.block_count
+        values = np.array([self.without(block).joints for block in range(count)])
+        return np.asarray(np.maximum(errors, np.sqrt(count - 1) * values.std(axis=0)))
 
 
 def correlation(residual: Floats) -> float:
@@ -95,61 +117,60 @@ def weights_of(residual: Floats) -> Floats:
 
 
 class Equations:
-    """Normal equations of each joint and block, linearised at a model."""
+    """Normal equations of each joint and block, for the columns of a model."""
 
     def __init__(self, regression: Regression, model: Model) -> None:
-        self.regression = regression
-        robot, identified = regression.problem.identified.robot, regression.problem.identified
-        b, m = len(identified.bodies), len(regression.problem.joints)
-        self.size, self.block_count = PARAMETERS * b + TERMS * m, int(regression.block.max()) + 1
+        self.regression, self.block_count = regression, regression.block_count
+        count = model.bodies.size
+        self.size = count + model.joints.size
         actions = regression.actions(model)
         self.index: list[Integers] = []
-        self.all: list[Floats] = []
-        self.blocks: list[list[Floats]] = []
-        for j, joint in enumerate(regression.problem.joints):
-            moved = np.array(moved_by(robot, joint, identified.bodies), dtype=int)
-            body = (PARAMETERS * moved[:, None] + np.arange(PARAMETERS)).ravel()
+        self.blocks: list[Floats] = []
+        """For each joint, products of all columns and the target, the last for other rows."""
+        for j in range(len(model.joints)):
+            moved = regression.moved(j)
             own = [(owner, columns) for row, owner, columns in actions if row == j]
-            terms = [PARAMETERS * b + TERMS * owner + np.arange(TERMS) for owner, _ in own]
-            self.index.append(np.concatenate([body, *terms]))
-            table = np.column_stack(
-                [
-                    regression.bodies[:, j][:, body],
-                    *(columns for _, columns in own),
-                    regression.efforts[:, j] - regression.known[:, j],
-                ]
+            terms = [count + TERMS * owner + np.arange(TERMS) for owner, _ in own]
+            target = regression.efforts[:, j] - regression.known[:, j]
+            table = np.column_stack([*(columns for _, columns in own), target])
+            bodies = regression.bodies[:, j][:, moved]
+            mixed, last = regression.by_block(bodies, table), regression.by_block(table, table)
+            self.index.append(np.concatenate([moved, *terms]))
+            self.blocks.append(
+                np.block([[regression.body_grams[j], mixed], [mixed.transpose(0, 2, 1), last]])
             )
-            self.all.append(table.T @ table)  # includes rows between blocks
-            parts = [table[regression.block == k] for k in range(self.block_count)]
-            self.blocks.append([part.T @ part for part in parts])
 
     def normal(self, weights: Floats, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations; the block `without` is left out."""
+        """
+        Return matrix and vector of the normal equations.
+
+        Without a block, the rows between blocks are left out too, because they contain parts of
+        that block.
+
+        """
         matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for j, index in enumerate(self.index):
-            gram = self.all[j]
+        for weight, index, blocks in zip(weights, self.index, self.blocks, strict=True):
+            gram = blocks.sum(axis=0)
             if without is not None:
-                gram = np.sum(
-                    [part for k, part in enumerate(self.blocks[j]) if k != without], axis=0
-                )
-            matrix[np.ix_(index, index)] += weights[j] * gram[:-1, :-1]
-            vector[index] += weights[j] * gram[:-1, -1]
+                gram = gram - blocks[-1] - blocks[without]
+            matrix[np.ix_(index, index)] += weight * gram[:-1, :-1]
+            vector[index] += weight * gram[:-1, -1]
         return matrix, vector
 
     def squares(self, model: Model, block: int) -> Floats:
         """Return the sum of squared residuals of every joint in a block, shape (joints,)."""
         x = np.concatenate([model.bodies.ravel(), model.joints.ravel()])
         remaining = []
-        for j, index in enumerate(self.index):
+        for index, blocks in zip(self.index, self.blocks, strict=True):
             factors = np.append(-x[index], 1.0)
-            remaining.append(float(factors @ self.blocks[j][block] @ factors))
+            remaining.append(float(factors @ blocks[block] @ factors))
         return np.array(remaining)
 
 
 def solve(
     equations: Equations,
     weights: Floats,
-    urdf_weight: Floats,
+    urdf_weight: float,
     used: Booleans,
     start: Model,
     without: int | None = None,
@@ -157,10 +178,9 @@ def solve(
     """
     Minimise the weighted squared residuals plus the divergence from the robot description.
 
-    `weights` is the result of `weights_of`. `urdf_weight` contains the weight of the divergence of
-    each body, shape (bodies,). Terms that are not `used` are zero. A scalar divergence keeps
-    friction and armature positive. Its reference values depend on `start`. The block `without` is
-    left out.
+    `weights` is the result of `weights_of`. `urdf_weight` is the weight of the divergence. Terms
+    that are not `used` are zero. A scalar divergence keeps friction and armature positive. Its
+    reference values depend on `start`. The block `without` is left out.
 
     """
     identified = equations.regression.problem.identified
@@ -183,58 +203,31 @@ def solve(
     joints[terms] = x[count:]
     bodies = x[:count].reshape(-1, PARAMETERS)
     model = replace(start, bodies=bodies, joints=joints.reshape(used.shape))
-    return RobotFit(equations, weights, used, model, unknowns, hessian, prior)
+    return RobotFit(equations, weights, urdf_weight, used, model, unknowns, hessian, prior)
 
 
-def choose_urdf_weight(fit: RobotFit) -> tuple[float, dict[float, float]]:
+def with_best_urdf_weight(fit: RobotFit) -> RobotFit:
     """
-    Choose the weight of the robot description: the largest weight whose loss is small.
+    Repeat a fit with the largest weight of the robot description whose loss is small.
 
     Each block is predicted by a fit to the other blocks. The loss is the sum of weighted squared
     prediction errors. A loss is small if it exceeds the smallest loss by at most 5 %, and by at
     most the standard error of the difference.
 
-    Returns the chosen weight, and the loss of each weight in `URDF_WEIGHTS`.
-
     """
-    equations, weights, used = fit.equations, fit.weights, fit.used
-    trials: dict[float, Floats] = {}  # losses of the blocks
-    models = [fit.model] * equations.block_count
-    bodies = len(fit.model.bodies)
+    trials = []
     for urdf_weight in URDF_WEIGHTS:
-        losses = []
-        for k in range(equations.block_count):
-            own = np.full(bodies, urdf_weight)
-            models[k] = solve(equations, weights, own, used, models[k], k).model
-            losses.append(float(weights @ equations.squares(models[k], k)))
-        trials[float(urdf_weight)] = np.array(losses)
-    totals = {urdf_weight: float(own.sum()) for urdf_weight, own in trials.items()}
-    best = min(totals, key=lambda urdf_weight: totals[urdf_weight])
-    least = trials[best]
+        fit = fit._replace(urdf_weight=urdf_weight)
+        trials.append(fit.unseen_losses() @ fit.weights)
+    least = min(trials, key=np.sum)
 
-    def is_as_good(losses: Floats) -> bool:
+    def is_small(losses: Floats) -> bool:
         excess = losses - least
         error = np.sqrt(len(excess)) * excess.std(ddof=1) if len(excess) > 1 else 0.0
         return bool(excess.sum() <= min(error, 0.05 * least.sum()))
 
-    return next((weight for weight, own in trials.items() if is_as_good(own)), best), totals
-
-
-def solve_within_reason(
-    equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
-) -> RobotFit:
-    """Fit all unknowns, but keep undetermined masses below `MOST_GROWTH` times the original."""
-    before = equations.regression.problem.identified.before[:, 0]
-    urdf_weights = np.full(len(before), urdf_weight)
-    for _ in range(40):
-        fit = solve(equations, weights, urdf_weights, used, start)
-        growing = fit.model.bodies[:, 0] > 0.99 * MOST_GROWTH * before
-        held = growing & (mass_information(fit) <= ENOUGH)
-        if not held.any():
-            break
-        urdf_weights = np.where(held, 2.0 * urdf_weights, urdf_weights)
-        start = fit.model
-    return fit
+    best = next(k for k, losses in enumerate(trials) if is_small(losses))
+    return fit._replace(urdf_weight=URDF_WEIGHTS[best]).again(fit.model, fit.used)
 
 
 def mass_information(fit: RobotFit) -> Floats:
@@ -242,35 +235,17 @@ def mass_information(fit: RobotFit) -> Floats:
     Return what fraction of the information about each mass comes from the recordings.
 
     The remaining information comes from the robot description. The masses in the description are
-    assumed to have relative errors of `EXPECTED_ERROR`. Efforts of joints that moved in a fixed
-    ratio to each other are ignored, because a coupling of their drives could also explain
-    these efforts.
+    assumed to have relative errors of `EXPECTED_ERROR`.
 
     """
-    count = len(fit.model.bodies)
-    hessian = _without_dependent_joints(fit)
-    variances = np.diagonal(np.linalg.inv(hessian))[: 10 * count : 10]
+    count = fit.model.bodies.size
+    variances = np.diagonal(np.linalg.inv(fit.hessian))[:count:PARAMETERS]
     # With the divergence alone, the relative standard error of a mass would be 1 / sqrt(weight).
     total = 1.0 / np.maximum(variances, 1e-300)
-    own = fit.prior.weights / fit.model.bodies[:, 0] ** 2
+    own = fit.urdf_weight / fit.model.bodies[:, 0] ** 2
     measured = np.maximum(total - own, 0.0)
     expected = 1.0 / (EXPECTED_ERROR * fit.prior.bodies[:, 0]) ** 2
     return np.asarray(measured / (measured + expected))
-
-
-def _without_dependent_joints(fit: RobotFit) -> Floats:
-    """Return the Hessian without the data of joints that moved in a fixed ratio to each other."""
-    groups = fit.equations.regression.together
-    if not groups:
-        return fit.hessian
-    weights, dependent = np.zeros_like(fit.weights), np.concatenate(groups)
-    weights[dependent] = fit.weights[dependent]
-    matrix, _ = fit.equations.normal(weights)
-    hessian = fit.hessian - matrix[np.ix_(fit.unknowns, fit.unknowns)]
-    # The terms of these joints have no effect now. A small curvature keeps the matrix invertible.
-    diagonal = np.arange(fit.model.bodies.size, len(hessian))
-    hessian[diagonal, diagonal] += 1e-6 * np.diagonal(fit.hessian)[diagonal]
-    return np.asarray(hessian)
 
 
 # ---- The solver ----------------------------------------------------------------------------
@@ -287,8 +262,8 @@ class Prior:
 
     bodies: Floats
     """Reference parameters of the bodies, shape (bodies, 10)."""
-    weights: Floats
-    """Weight of the divergence of each body, shape (bodies,)."""
+    weight: float
+    """Weight of the divergence of the bodies."""
     positive: Integers
     """Indices of the unknowns that must be positive."""
     scales: Floats
@@ -309,7 +284,8 @@ class Prior:
         log_det = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
         linear = np.einsum('bk,bk->b', self._pull, self._bodies(x))
         scalars = numbers / self.scales - np.log(numbers)
-        return float(self.weights @ (linear - log_det) + self.positive_weights @ scalars)
+        bodies = self.weight * (linear - log_det).sum()
+        return float(bodies + self.positive_weights @ scalars)
 
     def derivatives(self, x: Floats) -> tuple[Floats, Floats]:
         """Return the gradient and the Hessian of the divergence."""
@@ -318,8 +294,8 @@ class Prior:
         inverses = np.linalg.inv(pseudo_inertias(self._bodies(x)))
         products = np.einsum('bij,kjl->bkil', inverses, BASIS)
         traces = np.trace(products, axis1=2, axis2=3)
-        blocks = np.einsum('bkij,blji->bkl', products, products) * self.weights[:, None, None]
-        gradient[: PARAMETERS * count] = (self.weights[:, None] * (self._pull - traces)).ravel()
+        blocks = np.einsum('bkij,blji->bkl', products, products) * self.weight
+        gradient[: PARAMETERS * count] = self.weight * (self._pull - traces).ravel()
         for b in range(count):
             rows = slice(PARAMETERS * b, PARAMETERS * (b + 1))
             hessian[rows, rows] = blocks[b]

@@ -7,17 +7,17 @@ Joint terms are the effects of a drive, such as friction and armature.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import math
 
 import numpy as np
 
 from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import RecordingError
-from ...robot.model import Floats, RobotModel
+from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.signals import Recording
-from .drives import choose_terms, estimate_delay, first_gains, JointFit
+from .corrections import estimate_delay, first_gains, link_factors
 from .evaluation import evaluate
-from .extras import with_extra, without_useless_extras
-from .fit import choose_urdf_weight, Equations, RobotFit, solve, solve_within_reason, weights_of
+from .fit import Equations, RobotFit, solve, weights_of, with_best_urdf_weight
 from .preparation import (
     GOOD_RECORDINGS,
     measured_joints,
@@ -25,16 +25,31 @@ from .preparation import (
     training_data,
     TrainingData,
 )
-from .regression import GAIN, IdentificationProblem, identified_bodies, Model, RATIO, TERMS, WIDTH
+from .regression import (
+    ARMATURE,
+    COULOMB,
+    DAMPING,
+    IdentificationProblem,
+    identified_bodies,
+    LOAD,
+    Model,
+    OFFSET,
+    TERMS,
+)
 from .result import IdentificationResult
+from .terms import with_best_widths, with_extra, without_useless_terms
 
 ROUNDS = 3
-WIDTH_ROUNDS = 4
 DELAY_ROUNDS = 3
-GAIN_ROUNDS = 5
-LEAST_DELAY = 2e-4
+GAIN_ROUNDS = 10
+LEAST_DELAY = 1e-3
 """Smaller delays of the efforts are not removed [s]."""
+CERTAIN = 3.0
+"""A delay is removed only if it exceeds this many standard errors."""
 FIRST_URDF_WEIGHT = 1.0
+HELD = 1e9
+"""Weight of the robot description with which its bodies are kept."""
+FRICTION = [DAMPING, COULOMB, OFFSET]
 
 
 def identify_parameters(
@@ -64,32 +79,29 @@ def identify_parameters(
 
     """
     joints = measured_joints(robot, recordings)
-    bodies = identified_bodies(robot)
     gravity = np.array(gravity, dtype=float)
-    problem = IdentificationProblem(bodies, joints, gravity, payload, currents)
-    training, stretch = prepare_all(robot, recordings, joints)
-    unseen, _ = prepare_all(robot, validation, joints, stretch)
-    progress(0.1)
+    problem = IdentificationProblem(identified_bodies(robot), joints, gravity, payload, currents)
+    training = prepare_all(robot, recordings, joints)
+    unseen = prepare_all(robot, validation, joints)
+    progress(0.2)
     try:
         data = training_data(problem, training)
+        every = [ARMATURE, DAMPING, COULOMB, LOAD, OFFSET]
         if currents:
             data = with_first_gains(data)
-        progress(0.2)
-        start = without_terms(data, bodies.reference)
-        fit = fit_in_turn(data, start, np.full(len(bodies.bodies), FIRST_URDF_WEIGHT))
-        fit = fit_with_extras(data, fit)
+        fit = fitted(data, nominal(data), terms_of(data, every), FIRST_URDF_WEIGHT)
+        progress(0.4)
+        while (better := with_extra(fit, data.moving)) is not None:
+            fit = refitted(data, better)
         data, fit, delay = remove_delay(data, fit)
         if currents:
             data, fit = fit_gains(data, fit)
-        progress(0.6)
-        fit = fit._replace(weights=weights_of(data.regression.residual(fit.model)))
-        urdf_weight, trials = choose_urdf_weight(fit)
-        progress(0.9)
-        fit = fit_with_widths(data, fit, urdf_weight)
-        if (needed := without_useless_extras(data.regression, fit)) is not fit:
-            fit = fit_with_widths(data, needed, urdf_weight)
-        friction = fit_friction(data)
-        return evaluate(data, fit, friction, delay, urdf_weight, trials, unseen)
+        progress(0.7)
+        fit = refitted(data, with_best_urdf_weight(fit))
+        while (needed := without_useless_terms(fit)) is not fit:
+            fit = refitted(data, with_best_urdf_weight(needed))
+        friction = fitted(data, nominal(data), terms_of(data, FRICTION), HELD)
+        return evaluate(data, fit, friction, delay, unseen)
     except np.linalg.LinAlgError as error:
         raise RecordingError(
             f'the recordings contain too little information: the fit has no solution ({error}); '
@@ -97,112 +109,80 @@ def identify_parameters(
         ) from None
 
 
-def with_first_gains(data: TrainingData) -> TrainingData:
-    """Estimate gains from the masses of the robot description, and convert currents to efforts."""
-    before = data.problem.identified.before
-    gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
-    return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
-
-
-def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return a model with the given bodies and no joint terms."""
+def nominal(data: TrainingData) -> Model:
+    """Return the bodies of the robot description without joint terms."""
     m = len(data.problem.joints)
-    model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
-    return JointFit(model, np.zeros((m, TERMS), dtype=bool))
+    return Model(
+        data.problem.identified.reference, np.zeros((m, TERMS)), np.full(m, 0.05), np.zeros(m)
+    )
 
 
-def fit_friction(data: TrainingData) -> JointFit:
-    """Fit only friction and offsets, and keep the bodies of the robot description."""
-    start = without_terms(data, data.problem.identified.before)
-    return choose_terms(data.regression, start, data.moving, data.widths, optional=False)
+def terms_of(data: TrainingData, chosen: Sequence[int]) -> Booleans:
+    """Return a mask of the chosen terms, shape (joints, 6); joints at rest have only offsets."""
+    used = np.zeros((len(data.problem.joints), TERMS), dtype=bool)
+    used[:, list(chosen)] = data.moving[:, None]
+    used[:, OFFSET] = True
+    return used
 
 
-def fit_in_turn(
-    data: TrainingData, fit: JointFit | RobotFit, urdf_weights: Floats, rounds: int = ROUNDS
+def fitted(
+    data: TrainingData, model: Model, used: Booleans, urdf_weight: float, rounds: int = ROUNDS
 ) -> RobotFit:
-    """Alternate between choosing joint terms and fitting all unknowns together."""
+    """Alternate between choosing friction widths and fitting all other unknowns together."""
+    regression = data.regression
     for _ in range(rounds):
-        start, used = choose_terms(data.regression, fit, data.moving, data.widths)
-        weights = weights_of(data.regression.residual(start))
-        fit = solve(Equations(data.regression, start), weights, urdf_weights, used, start)
-    assert isinstance(fit, RobotFit)
-    return fit
+        model = with_best_widths(regression, model, used)
+        weights = weights_of(regression.residual(model))
+        fit = solve(Equations(regression, model), weights, urdf_weight, used, model)
+        model = fit.model
+    return fit._replace(weights=weights_of(regression.residual(model)))
 
 
-def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
-    """Add springs and couplings as long as the prediction improves."""
-    while (better := with_extra(data.regression, data.moving, fit)) is not None:
-        fit = fit_in_turn(data, better, fit.prior.weights, 2)
-    return fit
+def refitted(data: TrainingData, fit: RobotFit) -> RobotFit:
+    """Repeat a fit with new friction widths."""
+    return fitted(data, fit.model, fit.used, fit.urdf_weight, 2)
 
 
 def remove_delay(
     data: TrainingData, fit: RobotFit
 ) -> tuple[TrainingData, RobotFit, tuple[float, float]]:
     """
-    Estimate the delay of the efforts, and remove the delay if this improves the fit.
+    Estimate the delay of the efforts, and remove a delay that is certain.
 
+    A filter of the efforts looks like a delay, so nothing is removed from filtered efforts.
     Returns the corrected data, the fit, and the delay with its standard error [s].
 
     """
-    delay = error = 0.0
+    is_filtered = any(math.isfinite(run.derived.cut_off) for run in data.runs)
     for _ in range(DELAY_ROUNDS):
         removed = data.correction.delay
-        more, error = estimate_delay(data.regression, fit)
-        delay = removed + more
-        if abs(more) < max(2.0 * error, LEAST_DELAY):
+        more, error = estimate_delay(fit)
+        if is_filtered or abs(more) < max(CERTAIN * error, LEAST_DELAY):
             break
-        weights, before = fit.weights, _loss(data, fit, fit.weights)
-        data, fit = _shift(data, fit, delay)
-        if _loss(data, fit, weights) > before:
-            data, fit = _shift(data, fit, removed)
-            delay = removed
-            break
-    return data, fit, (delay, error)
+        data = data.corrected(data.correction._replace(delay=removed + more))
+        fit, more = refitted(data, fit), 0.0
+    return data, fit, (data.correction.delay + more, error)
 
 
-def _shift(data: TrainingData, fit: RobotFit, delay: float) -> tuple[TrainingData, RobotFit]:
-    data = data.corrected(data.correction._replace(delay=delay))
-    return data, fit_in_turn(data, fit, fit.prior.weights, 2)
+# ---- Currents ------------------------------------------------------------------------------
 
 
-def _loss(data: TrainingData, fit: RobotFit, weights: Floats) -> float:
-    return float((weights * data.regression.residual(fit.model) ** 2).sum())
+def with_first_gains(data: TrainingData) -> TrainingData:
+    """Estimate gains from the masses of the robot description, and convert currents to efforts."""
+    used = terms_of(data, [ARMATURE, DAMPING, COULOMB, OFFSET])
+    gains, known = first_gains(data.regression, nominal(data), used)
+    return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
 
 
 def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit]:
-    """Fit the gains together with all other unknowns."""
-    known, used = data.correction.is_gain_known, fit.used
-    with_gains = used.copy()
-    with_gains[:, GAIN] = known
-    for _ in range(GAIN_ROUNDS):
-        equations = Equations(data.regression, fit.model)
-        fit = fit.again(equations, with_gains, fit.model)
-        change = 1.0 + np.clip(fit.model.joints[:, GAIN], -0.3, 0.3)
-        common = _common_factor(data, change)
-        gains = data.correction.gains * (np.where(known, change, 1.0) * common)
-        data = data.corrected(data.correction._replace(gains=gains))
-        fit = fit._replace(model=fit.model.scaled(common), weights=fit.weights / common**2)
-    return data, fit._replace(used=used)
-
-
-def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return a factor that restores the geometric mean of the gains, or 1 if a mass is known."""
+    """Alternate between fitting the gains and all other unknowns."""
     known = data.correction.is_gain_known
-    if data.problem.has_known_mass or not known.any():
-        return 1.0
-    return float(np.exp(-np.mean(np.log(change[known]))))
-
-
-def fit_with_widths(data: TrainingData, fit: RobotFit, urdf_weight: float) -> RobotFit:
-    """Fit all unknowns, including friction widths and couplings."""
-    fit = fit_in_turn(data, fit, np.full(len(fit.model.bodies), urdf_weight), 2)
-    # The efforts are not linear in widths and couplings, so the fit takes several steps.
-    used = fit.used.copy()
-    used[:, WIDTH] = data.moving
-    used[:, RATIO] = fit.model.couplings != 0.0
-    for _ in range(WIDTH_ROUNDS):
-        equations = Equations(data.regression, fit.model)
-        fit = solve_within_reason(equations, fit.weights, urdf_weight, used, fit.model)
-        fit = fit._replace(model=fit.model.with_fitted_shapes())
-    return fit
+    for _ in range(GAIN_ROUNDS):
+        factors, _ = link_factors(data.regression, fit.model, fit.used)
+        change = np.where(known, 1.0 / np.clip(factors, 0.7, 1.4), 1.0)
+        if not data.problem.has_known_mass and known.any():  # restores the mean of the gains
+            change *= np.exp(-np.mean(np.log(change[known])))
+        gains = data.correction.gains * change
+        data = data.corrected(data.correction._replace(gains=gains))
+        fit = refitted(data, fit)
+    return data, fit

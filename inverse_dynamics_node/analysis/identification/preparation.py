@@ -15,29 +15,18 @@ import numpy as np
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.resampling import pieces
-from ..recordings.signals import derive, Motion, Recording, rms, without_turns
-from .drives import EffortCorrection, widths_to_try
+from ..recordings.signals import derive, Motion, Recording, without_turns
+from .corrections import EffortCorrection
 from .regression import IdentificationProblem, Regression
 
 HIGHEST_RATE = 250.0
 """Highest sampling rate of prepared recordings [Hz]; smoothed signals do not need more."""
-STRETCHES = (1.0, 1.5, 2.0)
+SMOOTHING = 0.2
 """
-Factors to try for the length of the smoothing window.
+Smoothing window of the fit [s].
 
-With encoder noise of 5e-4 rad at 125 Hz, a factor of 2 reduced the model error by a sixth. A
-factor of 4 reduced the model error by less than another 1 %.
-"""
-CLEAN = 0.05
-"""Acceptable noise of accelerations, as a fraction of the RMS acceleration."""
-LEAST_RANGE = 0.02
-"""A joint affects the smoothing window only if its positions span more than this [rad or m]."""
-SMOOTHING_RANGE = (0.1, 0.4)
-"""
-Shortest and longest smoothing window of the fit [s].
-
-For an industrial arm, all windows in this range led to the same errors on unseen data, within 1 %.
-A window of 0.6 s increased the errors by 3 %, and a window of 0.8 s by 8 %.
+For an industrial arm, all windows from 0.1 s to 0.4 s led to the same errors on unseen data,
+within 1 %. A window of 0.6 s increased the errors by 3 %, and a window of 0.8 s by 8 %.
 """
 NOISES_IN_WIDTH = 3.0
 """
@@ -94,78 +83,22 @@ def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[
 
 
 def prepare_all(
-    robot: RobotModel,
-    recordings: Sequence[Recording],
-    joints: Sequence[int],
-    stretch: float | None = None,
-) -> tuple[list[PreparedRecording], float]:
+    robot: RobotModel, recordings: Sequence[Recording], joints: Sequence[int]
+) -> list[PreparedRecording]:
     """
-    Smooth all recordings, and multiply the lengths of their smoothing windows by one factor.
+    Smooth all recordings.
 
     The result contains the efforts of `joints`. Joints without recorded positions are assumed to
-    stay at zero. `stretch` is the factor. If `stretch` is None, the noise determines the factor.
-    Returns the prepared recordings and the factor. Raises RecordingError if a recording is too
-    short, or if one of the joints has no measured effort.
+    stay at zero. Raises RecordingError if a recording is too short, or if one of the joints has no
+    measured effort.
 
     """
-    turned = [without_turns(robot, each) for each in recordings]
-    quiet = [without_noisy_velocities(each) for each in turned]
-    stretch = stretch or max(_stretch(each) for each in quiet)
-    pairs = zip(turned, quiet, strict=True)
-    return [_prepare(robot, *each, joints, stretch) for each in pairs], stretch
+    return [_prepare(robot, without_turns(robot, each), joints) for each in recordings]
 
 
-def without_noisy_velocities(recording: Recording) -> Recording:
-    """Remove the velocities of joints whose positions lead to less noisy accelerations."""
-    if recording.velocities is None:
-        return recording
-    measured = derive(recording)
-    if not (_relative_noise(measured) > CLEAN).any():
-        return recording
-    derived = derive(recording._replace(velocities=None))
-    is_noisy = derived.qdd_noise < measured.qdd_noise
-    velocities = np.where(is_noisy, np.nan, recording.velocities)
-    return recording._replace(velocities=None if is_noisy.all() else velocities)
-
-
-def _stretch(recording: Recording) -> float:
-    """Return the factor that stretches the smoothing window enough for clean accelerations."""
-    chosen = STRETCHES[0]
-    for stretch in STRETCHES:
-        try:
-            motion = derive(recording, stretch)
-        except RecordingError:  # the recording is too short for a longer window
-            if stretch == STRETCHES[0]:
-                raise
-            break
-        moves = np.ptp(motion.q, axis=0) > LEAST_RANGE
-        if not moves.any():
-            break
-        changes = rms(motion.qd[:, moves]) / np.maximum(rms(motion.qdd[:, moves]), 1e-9)
-        seconds = motion.window * motion.period
-        if stretch > STRETCHES[0] and seconds > float(np.median(changes)):
-            break  # the window would remove the motion
-        chosen = stretch
-        if not (_relative_noise(motion)[moves] > CLEAN).any():
-            break
-    return chosen
-
-
-def _relative_noise(motion: Motion) -> Floats:
-    """Return the noise of the accelerations relative to their RMS, shape (joints,)."""
-    return np.asarray(motion.qdd_noise / np.maximum(rms(motion.qdd), 1e-9))
-
-
-def _prepare(
-    robot: RobotModel,
-    recording: Recording,
-    quiet: Recording,
-    joints: Sequence[int],
-    stretch: float,
-) -> PreparedRecording:
+def _prepare(robot: RobotModel, recording: Recording, joints: Sequence[int]) -> PreparedRecording:
     """Prepare one recording; joints without recorded positions are assumed to stay at zero."""
-    derived = derive(quiet, stretch)
-    noise = derived.qd_noise if quiet is recording else derive(recording).qd_noise
+    derived = derive(recording)
     step = max(1, int(1.0 / (derived.period * HIGHEST_RATE) + 1e-9))
     chosen = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
     q, qd, qdd = np.zeros((3, len(chosen), len(robot.joint_names)))
@@ -183,7 +116,9 @@ def _prepare(
         derived.degree,
         raw_efforts=derived.raw_efforts[chosen][:, columns],
     )
-    return PreparedRecording(motion, derived.effort_noise[columns], noise[columns], derived)
+    return PreparedRecording(
+        motion, derived.effort_noise[columns], derived.qd_noise[columns], derived
+    )
 
 
 def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
@@ -212,8 +147,6 @@ class TrainingData:
     """Total duration of the recordings [s]."""
     moving: Booleans
     """Whether each joint moved enough to identify its friction, shape (joints,)."""
-    widths: Floats
-    """Friction widths to try, shape (widths, joints) [rad/s or m/s]."""
     least_widths: Floats
     """Smallest friction widths to export, shape (joints,) [rad/s or m/s]."""
     correction: EffortCorrection
@@ -238,8 +171,7 @@ def training_data(
     motions = [run.motion for run in runs]
     moving = _moving_joints(problem, motions)
     duration = sum(float(np.ptp(motion.times)) for motion in motions)
-    seconds = _smoothing_window(problem, motions, moving, duration)
-    regression = Regression(problem, motions, seconds, BLOCKS)
+    regression = Regression(problem, motions, SMOOTHING, BLOCKS)
     if duration < LEAST_DURATION or not len(regression.efforts):
         raise RecordingError(
             f'after smoothing, the recordings last {duration:.2g} s, expected at least '
@@ -251,25 +183,10 @@ def training_data(
         runs,
         duration,
         moving,
-        widths_to_try(np.quantile(np.abs(regression.qd), 0.95, axis=0)),
         NOISES_IN_WIDTH * np.max([run.qd_noise for run in runs], axis=0),
         EffortCorrection(0.0, np.ones(m), np.zeros(m, dtype=bool)),
         regression,
     )
-
-
-def _smoothing_window(
-    problem: IdentificationProblem, motions: Sequence[Motion], moving: Booleans, duration: float
-) -> float:
-    """Return the length of the smoothing window [s]; fast motions need a short window."""
-    ratios = []
-    for motion in motions:
-        for joint, moves in zip(problem.joints, moving, strict=True):
-            if moves:
-                qdd = max(float(rms(motion.qdd[:, joint])), 1e-9)
-                ratios.append(float(rms(motion.qd[:, joint])) / qdd)
-    typical = 0.7 * float(np.quantile(ratios, 0.25)) if ratios else np.inf
-    return float(np.clip(min(typical, duration / 40.0), *SMOOTHING_RANGE))
 
 
 def _moving_joints(problem: IdentificationProblem, motions: Sequence[Motion]) -> Booleans:

@@ -3,7 +3,7 @@ Defines the bodies and joints to identify, and their regression.
 
 Joint terms are the effects of a drive, such as friction and armature. The friction width is the
 speed over which Coulomb friction is smoothed. The coupling of a drive is the rotation of the drive
-per rotation of the preceding joint. The gain of a joint is the effort per unit of current.
+per rotation of the preceding joint.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ...robot.kinematics import path_to
 from ...robot.model import Floats, Integers, RobotModel
 from ...robot.rigid_body import (
     moved_inside,
+    PARAMETERS,
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
@@ -34,22 +35,16 @@ from ..recordings.signals import Motion
 
 RANDOM_STATES = 60
 ARMATURE, DAMPING, COULOMB, LOAD, SPRING, OFFSET = range(6)
-EXPORTED = 6
-"""Number of joint terms that the node can apply."""
-WIDTH = 6
-"""Index of the term that corrects the friction width."""
-RATIO = 7
-"""Index of the term that corrects the coupling."""
-GAIN = 8
-"""Index of the term that corrects the gain."""
-TERMS = 9
+TERMS = 6
 """Number of terms of each joint."""
-OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, WIDTH, RATIO]
+OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD]
 """Terms of a coupled drive that also act on the preceding joint."""
-SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD])
+SIGNED = np.array([False, False, False, False, True, True])
 """Whether each term may have a negative factor."""
 FIXED_RATIO = 0.995
 """Two joints moved in a fixed ratio if their velocities have at least this correlation."""
+ROWS_AT_ONCE = 500
+"""Number of rows for which regressors are computed at once; this limits the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,33 +222,15 @@ class Model:
     bodies: Floats
     """Inertial parameters of the identified bodies, shape (bodies, 10)."""
     joints: Floats
-    """Factors of the columns of `Regression.terms`, shape (joints, 9)."""
+    """Factors of the columns of `Regression.terms`, shape (joints, 6)."""
     widths: Floats
     """Friction widths, shape (joints,) [rad/s or m/s]."""
     couplings: Floats
     """Couplings of the drives, shape (joints,)."""
 
-    def with_fitted_shapes(self) -> Model:
-        """Return the model with bounded changes of widths and couplings applied."""
-        joints = self.joints.copy()
-        change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
-        most = 0.5 * np.abs(self.couplings)
-        couplings = self.couplings + np.clip(joints[:, RATIO], -most, most)
-        joints[:, [WIDTH, RATIO]] = 0.0
-        return Model(self.bodies, joints, self.widths + change, couplings)
-
-    def scaled(self, factor: float) -> Model:
-        """Return the model for efforts multiplied by a factor; gain changes are set to zero."""
-        joints = factor * self.joints
-        joints[:, LOAD] /= factor
-        joints[:, GAIN] = 0.0
-        return replace(self, bodies=factor * self.bodies, joints=joints)
-
     def exported(self, least_widths: Floats) -> Model:
-        """Return the model with only the terms that the node can apply."""
-        joints = self.joints.copy()
-        joints[:, EXPORTED:] = 0.0
-        return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
+        """Return the model with the friction widths that are written."""
+        return replace(self, widths=np.maximum(self.widths, least_widths))
 
     def with_coupling(self, j: int, ratio: float) -> Model:
         """Return the model with another coupling of joint j."""
@@ -294,6 +271,7 @@ class Regression:
         self.q = self._smooth([motion.q[:, joints] for motion in motions])
         self.efforts = self._smooth([motion.efforts for motion in motions])
         self.block = self._blocks(block_count)
+        self.block_count = int(self.block.max(initial=-1)) + 1
 
     def with_efforts(self, efforts: Sequence[Floats]) -> Regression:
         """Return the regression with other measured efforts for each motion."""
@@ -304,63 +282,49 @@ class Regression:
     @cached_property
     def bodies(self) -> Floats:
         """Regressor columns of the identified bodies, shape (rows, joints, 10 per body)."""
-        return self._smooth([self.problem.columns(motion) for motion in self.motions])
+        return self._in_parts(self.problem.columns)
 
     @cached_property
     def known(self) -> Floats:
         """Efforts due to the payload and to unidentified links, shape (rows, joints)."""
         fixed = self.problem.identified.fixed_robot()
-        return self._smooth([self.problem.efforts(fixed, motion) for motion in self.motions])
+        return self._in_parts(partial(self.problem.efforts, fixed))
 
     def rigid(self, bodies: Floats) -> Floats:
         """Return efforts of a robot with the given bodies, shape (rows, joints)."""
         if 'bodies' in self.__dict__:
             return np.asarray(self.known + self.bodies @ bodies.ravel())
         robot = self.problem.identified.robot_with(bodies)
-        return self._smooth([self.problem.efforts(robot, motion) for motion in self.motions])
+        return self._in_parts(partial(self.problem.efforts, robot))
 
-    def direction(self, widths: Floats) -> Floats:
-        """Return the smoothed directions of motion, shape (rows, joints)."""
-        joints = self.problem.joints
-        signals = [np.tanh(motion.qd[:, joints] / widths) for motion in self.motions]
+    def direction(self, model: Model) -> Floats:
+        """Return the smoothed directions of the drives, shape (rows, joints)."""
+        joints, before = self.problem.joints, self.problem.before
+        signals = []
+        for motion in self.motions:
+            qd = motion.qd[:, joints]
+            if model.couplings.any():
+                qd = qd + model.couplings * qd[:, before]
+            signals.append(np.tanh(qd / model.widths))
         return self._smooth(signals, Resampler.discontinuous)
 
     def terms(self, model: Model) -> Floats:
         """
-        Return the columns of the joint terms, shape (rows, joints, 9).
+        Return the columns of the joint terms, shape (rows, joints, 6).
 
-        The columns depend on the widths, the couplings and the gear loads of the model. The
-        columns `WIDTH` and `RATIO` also depend on the joint terms of the model.
+        The columns depend on the widths, the couplings, and the loads of the gears.
 
         """
-        robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
         before = self.problem.before
-        coulomb, per_load = model.joints[:, COULOMB], model.joints[:, LOAD]
-        parts = []
-        for motion in self.motions:
-            qd = motion.qd[:, joints]
-            rate = qd + model.couplings * qd[:, before]
-            load = self.problem.efforts(robot, motion) + model.springs(motion.q[:, joints])
-            speed, load = rate / model.widths, np.abs(load)
-            step = np.tanh(speed)
-            slope = (coulomb + per_load * load) * (1.0 - step**2) / model.widths
-            parts.append((step, load * step, -slope * speed, slope * qd[:, before]))
-        direction, loaded, widening, coupling = (
-            self._smooth(signals, Resampler.discontinuous) for signals in zip(*parts, strict=True)
-        )
-        armature, damping = model.joints[:, ARMATURE], model.joints[:, DAMPING]
-        coupling += armature * self.qdd[:, before] + damping * self.qd[:, before]
-        gain = -self.rigid(model.bodies) if self.problem.currents else np.zeros_like(self.qd)
+        load = np.abs(self.rigid(model.bodies) + model.springs(self.q))
+        direction = self.direction(model)
         columns = (
             self.qdd + model.couplings * self.qdd[:, before],
             self.qd + model.couplings * self.qd[:, before],
             direction,
-            loaded,
+            load * direction,
             self.q,
             np.ones_like(self.qd),
-            widening,
-            coupling,
-            gain,
         )
         return np.stack(columns, axis=-1)
 
@@ -370,7 +334,7 @@ class Regression:
 
         The terms of a joint affect the joint itself. The terms of a coupled drive also affect the
         preceding joint. Each tuple contains the affected joint, the owner of the terms, and the
-        columns, shape (rows, 9).
+        columns, shape (rows, 6).
 
         """
         terms = self.terms(model)
@@ -378,9 +342,28 @@ class Regression:
         for j in np.flatnonzero(model.couplings).tolist():
             shared = np.zeros(terms[:, j].shape)
             shared[:, OF_DRIVE] = model.couplings[j] * terms[:, j, OF_DRIVE]
-            shared[:, RATIO] += terms[:, j, OF_DRIVE] @ model.joints[j, OF_DRIVE]
             found.append((int(self.problem.before[j]), j, shared))
         return found
+
+    @cached_property
+    def body_grams(self) -> list[Floats]:
+        """Products of the body columns of each joint, shape (blocks + 1, columns, columns)."""
+        return [
+            self.by_block(table, table)
+            for table in (self.bodies[:, j][:, self.moved(j)] for j in range(self.q.shape[1]))
+        ]
+
+    def moved(self, j: int) -> Integers:
+        """Return the indices of the parameters of all bodies that a joint moves."""
+        problem = self.problem
+        bodies = moved_by(problem.identified.robot, problem.joints[j], problem.identified.bodies)
+        index = PARAMETERS * np.array(bodies, dtype=int)[:, None] + np.arange(PARAMETERS)
+        return np.asarray(index.ravel())
+
+    def by_block(self, left: Floats, right: Floats) -> Floats:
+        """Return ``left.T @ right`` for each block; the last one is for rows between blocks."""
+        chosen = [self.block == k for k in (*range(self.block_count), -1)]
+        return np.array([left[rows].T @ right[rows] for rows in chosen])
 
     @cached_property
     def together(self) -> tuple[tuple[int, ...], ...]:
@@ -411,6 +394,18 @@ class Regression:
     ) -> Floats:
         pairs = zip(self.resamplers, signals, strict=True)
         return np.concatenate([method(smooth, values) for smooth, values in pairs])
+
+    def _in_parts(self, function: Callable[[Motion], Floats]) -> Floats:
+        """Smooth a function of the states, such as the regressor, a few rows at a time."""
+        found = []
+        for motion, smooth in zip(self.motions, self.resamplers, strict=True):
+
+            def part(samples: slice, motion: Motion = motion) -> Floats:
+                q, qd, qdd = motion.q[samples], motion.qd[samples], motion.qdd[samples]
+                return function(motion._replace(q=q, qd=qd, qdd=qdd))
+
+            found.append(smooth.in_parts(part, ROWS_AT_ONCE))
+        return np.concatenate(found)
 
     def _blocks(self, count: int) -> Integers:
         """Return the block index of each row, or -1 near the border between two blocks."""

@@ -127,6 +127,8 @@ class IdentificationResult:
     accepted: bool
     """Whether the identified model predicts unseen data well enough."""
     verdict: str
+    are_currents: bool
+    """Whether motor currents were recorded instead of efforts."""
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
     inertials: dict[str, RigidBody]
@@ -134,8 +136,8 @@ class IdentificationResult:
     unseen: Unseen
     urdf_weight: float
     """Weight of the robot description in the fit."""
-    trials: dict[float, float]
-    """Loss on left-out blocks, for each tried weight of the robot description."""
+    scale: tuple[float, float] | None
+    """How many times as large as modelled all efforts are, with error; None if not significant."""
     delay: float
     """Delay of the measured efforts [s]."""
     delay_error: float
@@ -157,8 +159,6 @@ class IdentificationResult:
     """
     warnings: tuple[tuple[str, str], ...]
     """Warnings, each with a hint."""
-    advice: tuple[str, ...]
-    """Suggestions for the next recording."""
 
 
 def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike[str]) -> bytes:

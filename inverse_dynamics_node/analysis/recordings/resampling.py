@@ -7,6 +7,7 @@ otherwise be biased. The smoothing has no delay and does not reach across gaps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,20 @@ class Resampler(NamedTuple):
     def __call__(self, values: Floats) -> Floats:
         """Convert smooth signals of shape (K, ...) to rows of shape (R, ...)."""
         return _apply(self.of_smooth, values)
+
+    def in_parts(self, function: Callable[[slice], Floats], count: int) -> Floats:
+        """
+        Convert smooth signals to rows, at most `count` rows at a time.
+
+        The function returns the signals of a slice of samples, shape (samples, ...).
+
+        """
+        found = []
+        for first in range(0, len(self.times), count):
+            matrix = self.of_smooth[first : first + count]
+            begin, end = int(matrix.indices.min()), int(matrix.indices.max()) + 1
+            found.append(_apply(matrix[:, begin:end], function(slice(begin, end))))
+        return np.concatenate(found)
 
     def discontinuous(self, values: Floats) -> Floats:
         """Convert discontinuous signals of shape (K, ...) to rows of shape (R, ...)."""

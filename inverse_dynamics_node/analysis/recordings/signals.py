@@ -11,15 +11,13 @@ of the efforts shows whether the efforts were filtered before recording.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import math
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import RecordingError
-from ...robot.model import Floats, Integers, RobotModel
+from ...robot.model import Booleans, Floats, Integers, RobotModel
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
 """
@@ -34,6 +32,7 @@ GAP = 5.0  # [sampling periods]; signals are not interpolated across longer inte
 DUPLICATE = 0.25  # [sampling periods]; samples at shorter intervals are averaged
 JUMP_BACK = 10.0  # [sampling periods]; if time goes back by less, the samples are sorted
 MAX_DIFFERENCE = 0.5  # largest relative RMS difference of recorded and derived velocities
+CLEAN = 0.05  # acceptable noise of accelerations, as a fraction of their RMS
 MIN_SPEED = 1e-3  # [rad/s or m/s]; velocities of slower joints are not checked
 
 MAX_LAG = 0.5  # largest lag to search for [s]
@@ -41,6 +40,9 @@ MIN_LAG = 0.01  # [s]; at 1 Hz, smaller lags cause acceleration errors of less t
 LAG_EXPLAINS = 0.25  # largest fraction of the squared difference after a shift by the lag
 FINEST = 0.005  # spacing of compared lags [s]
 MAX_SHAPE = 0.2  # largest relative difference of shifted and derived velocities
+
+LEAST_REPEATED = 0.002  # fraction of repeated samples that a recorder causes
+REGULAR = 0.1  # largest relative spread of the distances between regular repeats
 
 CUTOFFS = (1.0, 8.0)  # [Hz]; filters with a higher cut-off hardly affect smoothed efforts
 STEEP = 35.0  # fall over two octaves that shows a filter [dB]; friction falls by only 12 dB
@@ -89,8 +91,6 @@ class Motion(NamedTuple):
     """Noise that remains in the smoothed efforts, shape (m,) [N m or N]; NaN without efforts."""
     qdd_noise: Floats = np.zeros(0)
     """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
-    lags: Mapping[str, float] = MappingProxyType({})
-    """Lags of recorded velocities, by joint [s]. Velocities with a lag are not used."""
     cut_off: float = math.inf
     """Cut-off frequency [Hz] of a filter applied to efforts before recording; inf if none."""
     raw_efforts: Floats = np.zeros((0, 0))
@@ -118,16 +118,17 @@ def without_turns(robot: RobotModel, recording: Recording) -> Recording:
     return recording._replace(positions=positions)
 
 
-def derive(recording: Recording, stretch: float = 1.0) -> Motion:
+def derive(recording: Recording) -> Motion:
     """
     Smooth all signals of a recording, and derive missing velocities and all accelerations.
 
-    `stretch` multiplies the length of the smoothing window, for noisy recordings of slow motions.
-    Half a window is removed at the start, at the end, and on both sides of each gap. Raise
-    RecordingError if shapes differ, if a joint has no position, if time goes back, if the
-    recording is too short, or if the sampling rate is too low.
+    Samples that repeat the one before are removed. Half a window is removed at the start, at the
+    end, and on both sides of each gap. Raise RecordingError if shapes differ, if a joint has no
+    position, if time goes back, if the recording is too short, or if the sampling rate is too low.
     """
     times = _checked(recording)
+    recording, notes = without_repeats(recording._replace(times=times))
+    times = recording.times
     columns = [RecordedColumn(recording, times, j) for j in range(len(recording.joint_names))]
     period = max(column.period for column in columns)
     if 1.0 / period < MIN_RATE:
@@ -135,28 +136,26 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
             f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g}; '
             'accelerations cannot be derived from fewer samples'
         )
-    orders, inconsistent, lags = _orders(columns, period)
-    seconds, degree = WINDOWS[max(orders)]
-    half = max(round(0.5 * stretch * seconds / period), (degree + MIN_SLACK) // 2)
+    orders, inconsistent = _orders(columns, period)
+    window, degree = _window(max(orders), period), WINDOWS[max(orders)][1]
     pieces, grids, lost = [], [], 0.0
     for begin, end in _common_spans(columns):
         grid = _grid(begin, end, period)
-        if len(grid) < 4 * half:
+        if len(grid) < 2 * window:
             lost += end - begin
             continue
-        pieces.append(_smooth(columns, orders, grid, period, (2 * half + 1, degree)))
+        pieces.append(_smooth(columns, orders, grid, period, (window, degree)))
         grids.append(grid)
     if not pieces:
         duration = times[-1] - times[0]
         raise RecordingError(
             'every gap-free interval of the recording is too short to be differentiated, '
-            f'expected at least {4 * half * period:.2g} s; the recording lasts {duration:.3g} s'
+            f'expected at least {2 * window * period:.2g} s; the recording lasts {duration:.3g} s'
         )
     instants, q, qd, qdd, efforts, raw = (
         np.concatenate(parts) for parts in zip(*pieces, strict=True)
     )
-    notes = _notes(columns, inconsistent, len(pieces), lost)
-    window = 2 * half + 1
+    notes += _notes(columns, inconsistent, len(pieces), lost)
     longest = max(grids, key=len)
     noise = [
         _noise(column, order, longest, period, window, degree)
@@ -178,7 +177,6 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         notes,
         effort_noise=np.array([each[0] for each in noise]),
         qdd_noise=np.array([each[1] for each in noise]),
-        lags=lags,
         cut_off=float(np.median(cut_offs)) if cut_offs else math.inf,
         raw_efforts=raw,
         qd_noise=np.array([each[2] for each in noise]),
@@ -212,41 +210,43 @@ def _checked(recording: Recording) -> Floats:
     return times
 
 
-def _orders(
-    columns: list[RecordedColumn], period: float
-) -> tuple[list[int], list[str], dict[str, float]]:
+def _orders(columns: list[RecordedColumn], period: float) -> tuple[list[int], list[str]]:
     """
-    Return the number of differentiations per joint, inconsistent joints, and lags [s].
+    Return the number of differentiations per joint, and the joints with wrong velocities.
 
-    Velocities that agree with the positions are differentiated once. Otherwise, positions are
-    differentiated twice. Inconsistent joints have velocities that contradict the positions.
+    Velocities that agree with the positions are differentiated once. Positions are differentiated
+    twice if the velocities contradict them, for example because a filter delays the velocities, or
+    if the velocities lead to noisier accelerations.
     """
     from scipy.signal import savgol_filter
 
     orders: list[int] = []
-    inconsistent: list[str] = []
-    lags: dict[str, float] = {}
+    wrong: list[str] = []
+    windows = {order: (_window(order, period), WINDOWS[order][1]) for order in WINDOWS}
     for column in columns:
+        orders.append(2 if column.qd is None else 1)
         if column.qd is None:
-            orders.append(2)
             continue
         grid = _grid(*max(column.spans(), key=lambda span: span[1] - span[0]), period)
-        half = max(round(0.5 * WINDOWS[1][0] / period), 3)
-        if len(grid) < 4 * half:
-            orders.append(1)
+        if len(grid) < 2 * windows[2][0]:
             continue
-        q = column.at(column.q, grid)
-        rate = savgol_filter(q, 2 * half + 1, 3, 1, period)
-        recorded = savgol_filter(column.at(column.qd, grid), 2 * half + 1, 3)
-        size, difference = rms(rate), rms(rate - recorded)
-        late = lag(recorded, rate, period) if size > MIN_SPEED else 0.0
-        is_wrong = size > MIN_SPEED and difference > MAX_DIFFERENCE * size
-        orders.append(2 if is_wrong or late else 1)
-        if late:
-            lags[column.name] = late
-        elif is_wrong:
-            inconsistent.append(column.name)
-    return orders, inconsistent, lags
+        rate = savgol_filter(column.at(column.q, grid), *windows[1], 1, period)
+        recorded = savgol_filter(column.at(column.qd, grid), *windows[1])
+        changes = savgol_filter(column.at(column.qd, grid), *windows[1], 1, period)
+        noise = [_noise(column, k, grid, period, *windows[k])[1] for k in (1, 2)]
+        is_wrong = rms(rate - recorded) > MAX_DIFFERENCE * rms(rate)
+        if rms(rate) > MIN_SPEED and (is_wrong or lag(recorded, rate, period)):
+            wrong.append(column.name)
+            orders[-1] = 2
+        elif noise[0] > max(CLEAN * float(rms(changes)), noise[1]):
+            orders[-1] = 2
+    return orders, wrong
+
+
+def _window(order: int, period: float) -> int:
+    """Return the number of samples in the smoothing window for 1 or 2 differentiations."""
+    seconds, degree = WINDOWS[order]
+    return 2 * max(round(0.5 * seconds / period), (degree + MIN_SLACK) // 2) + 1
 
 
 def _common_spans(columns: list[RecordedColumn]) -> list[tuple[float, float]]:
@@ -307,15 +307,15 @@ def _noise(
         # The filter multiplies white noise by the square root of its centre weight.
         return float(np.linalg.norm(derivative)) / math.sqrt(centre) * noise(values)
 
-    if column.qd is None:
-        velocity = derived(column.at(column.q, grid), 1)
-    else:
-        recorded = column.at(column.qd, grid)
+    q = column.at(column.q, grid)
+    velocity, acceleration = derived(q, 1), derived(q, 2)
+    if column.qd is not None:
+        qd = column.at(column.qd, grid)
         # At rest, a velocity may alternate between two adjacent values.
-        velocity = math.hypot(noise(recorded) / math.sqrt(centre), resolution(column.qd))
-    source = column.qd if order == 1 and column.qd is not None else column.q
+        velocity = math.hypot(noise(qd) / math.sqrt(centre), resolution(column.qd))
+        acceleration = derived(qd, 1) if order == 1 else acceleration
     effort = noise(column.at(column.tau, grid)) if column.has_effort else math.nan
-    return effort, derived(column.at(source, grid), order), velocity
+    return effort, acceleration, velocity
 
 
 def _method(orders: list[int], period: float, window: int, degree: int) -> str:
@@ -338,8 +338,8 @@ def _notes(
     notes = []
     if inconsistent:
         notes.append(
-            f'recorded velocities of {", ".join(inconsistent)} contradict the positions; '
-            'velocities were derived from the positions instead'
+            f'recorded velocities of {", ".join(inconsistent)} do not match the positions or lag '
+            'behind them; velocities were derived from the positions instead'
         )
     merged = max(column.merged for column in columns)
     if merged:
@@ -356,6 +356,68 @@ def _notes(
 def rms(values: Floats) -> Floats:
     """Return the root mean square of each column."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+# ---- Repeated samples ----------------------------------------------------------------------
+
+
+def without_repeats(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
+    """
+    Remove samples that repeat the one before although the robot moves, and describe this in notes.
+
+    A recorder that is faster than the hardware repeats samples. If the repeats come at regular
+    distances, the hardware samples evenly, but the stamps of the other samples run ahead until the
+    next repeat. The samples are then spread evenly.
+    """
+    velocities = recording.velocities
+    signals = [recording.positions, recording.efforts]
+    values = np.hstack(signals if velocities is None else [*signals, velocities])
+    same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    is_repeat = np.append(False, same.all(axis=1))
+    starts: Integers = np.flatnonzero(~is_repeat)
+    lengths = np.diff(np.append(starts, len(values)))
+    following = np.append(starts[1:], len(values) - 1)
+    moves = (recording.positions[following] != recording.positions[starts]).any(axis=1)
+    moves[-1] = True  # unknown
+    # A long run of equal samples is a rest, even if a motion follows.
+    moves &= lengths <= max(3, 2 * np.median(lengths))
+    is_repeat &= np.repeat(moves, lengths)
+    repeats = np.flatnonzero(is_repeat)
+    if len(repeats) < LEAST_REPEATED * len(values):
+        return recording, ()
+    kept = np.flatnonzero(~is_repeat)
+    times, rate = recording.times[kept], 1.0 / float(np.median(np.diff(recording.times)))
+    note = f'removed {len(repeats)} samples that repeat the one before while the robot moves'
+    distances = np.diff(repeats[np.append(True, np.diff(repeats) > 1)])
+    if len(distances) > 1 and np.ptp(np.quantile(distances, (0.1, 0.9))) <= max(
+        1.0, REGULAR * float(np.median(distances))
+    ):
+        times = _spread(times, is_repeat[np.minimum(kept + 1, len(values) - 1)])
+        slower = 1.0 / float(np.median(np.diff(times)))
+        note += (
+            f'; these samples come at regular distances, because {rate:.4g} samples/s were '
+            f'recorded of a source with {slower:.4g} samples/s; the other samples were spread '
+            'evenly'
+        )
+    return Recording(
+        recording.joint_names,
+        times,
+        recording.positions[kept],
+        None if velocities is None else velocities[kept],
+        recording.efforts[kept],
+    ), (note,)
+
+
+def _spread(times: Floats, was_repeated: Booleans) -> Floats:
+    """Space times evenly between gaps; only the stamps of repeated samples are right."""
+    breaks = np.flatnonzero(np.diff(times) > GAP * np.median(np.diff(times))) + 1
+    spread = times.copy()
+    for part in np.split(np.arange(len(times)), breaks):
+        right = part[was_repeated[part]]
+        if len(right) > 1:
+            line = np.polyfit(right - right[0], times[right] - times[right[0]], 1)
+            spread[part] = times[right[0]] + np.polyval(line, part - right[0])
+    return np.asarray(spread)
 
 
 # ---- One joint -----------------------------------------------------------------------------
@@ -433,13 +495,11 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
     Estimate the standard deviation of the white noise that a Savitzky-Golay filter leaves.
 
     `centre_weight` is the weight that the filter gives to the middle sample. It equals the sum of
-    all squared weights, because the filter is a projection. The estimate includes quantisation
-    noise.
+    all squared weights, because the filter is a projection.
     """
     removed = values - smoothed
     deviation = OUTLIERS * float(np.median(np.abs(removed - np.median(removed))))
-    filtered = deviation * math.sqrt(centre_weight / max(1.0 - centre_weight, 1e-9))
-    return math.hypot(filtered, resolution(values) / math.sqrt(12.0))
+    return deviation * math.sqrt(centre_weight / max(1.0 - centre_weight, 1e-9))
 
 
 def resolution(values: Floats) -> float:
@@ -448,11 +508,9 @@ def resolution(values: Floats) -> float:
     # A quantised signal repeats its values, and all steps are multiples of the smallest step.
     if len(levels) < 3 or len(levels) > 0.2 * len(values):
         return 0.0
-    steps = np.diff(levels)
-    step = float(np.median(steps))
-    multiples = steps / float(np.min(steps))
+    multiples = np.diff(levels) / float(np.min(np.diff(levels)))
     is_grid = np.abs(multiples - np.round(multiples)) < 0.05
-    return step if float(np.mean(is_grid)) > 0.9 else 0.0
+    return float(np.median(np.diff(levels))) if float(np.mean(is_grid)) > 0.9 else 0.0
 
 
 def lag(recorded: Floats, derived: Floats, period: float) -> float:
