@@ -2,10 +2,10 @@
 The recursion of Luh, Walker and Paul (1979) as printed, compared with the core.
 
 The core works in URDF frames, each on the axis of its own joint. This test shares nothing with it:
-Denavit-Hartenberg frames, where the axis of joint i+1 is z of link i, and a table of the arm
-typed from the literature (doc/evidence/stanford.md), not read from the URDF. Agreement verifies
-the core's departures from the paper, and config/stanford.urdf: a wrong number changes the efforts
-or, if no effort depends on it, the comparison of masses.
+Denavit-Hartenberg frames, where the axis of joint i+1 is z of link i, and a table of the arm typed
+from the literature (config/stanford.urdf names the sources), not read from the URDF. Agreement
+verifies the core's departures from the paper, and config/stanford.urdf: a wrong number changes the
+efforts or, if no effort depends on it, the comparison of masses.
 """
 
 from __future__ import annotations
