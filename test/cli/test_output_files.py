@@ -44,7 +44,7 @@ def contents(folder):
         ('excite arm.urdf', '--trajectory-out', 'arm.urdf'),
         ('identify arm.urdf move.csv', '--output', 'arm.urdf'),
         ('identify arm.urdf move.yaml --validate move.csv', '--json', 'move.csv'),
-        ('payload arm.urdf move.csv', '--picture', 'move_link.png'),
+        ('payload arm.urdf move.csv --empty move.yaml', '--picture', 'move_link.png'),
     ],
 )
 def test_an_input_is_never_replaced(command, option, name, here, capsys):
