@@ -146,7 +146,8 @@ class Search(Regression):
             yield h._replace(unit=h.unit * middle), FACTOR_COST if is_usual(middle) else 8.0
         odd = [j for j in known if not is_usual(abs(slopes[j]) / middle)]
         if len(odd) > 1:
-            others = tuple((j, float(slopes[j] / h.unit)) for j in known)
+            moving = [j for j in known if self.rows.signals.moves[j]]
+            others = tuple((j, float(slopes[j] / h.unit)) for j in moving)
             yield h._replace(factors=(*h.factors, *others)), 6.0 * len(others)
 
     def _orders(self, best: Fit, free: list[int]) -> Iterator[tuple[Hypothesis, float]]:
