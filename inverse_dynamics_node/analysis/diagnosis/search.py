@@ -29,7 +29,7 @@ from .rows import NEGLIGIBLE, OF_MODEL, OWN, POINT_MASS, Rows, SPREAD, Window
 
 FIRST = 0.5  # missing gravity comes first if it adds this fraction of the evidence
 MOST_FAULTS = 8
-FACTOR_COST = 24.0  # of a common factor that errors of the bodies may cause
+FACTOR_COST = 30.0  # of a common factor that errors of the bodies may cause
 COMMON = 0.08  # smallest deviation of a common factor from 1
 MOST_PUSHED = 0.5  # largest fraction of a recording in which an external force acts
 MOST_OF_ALL = 0.9  # largest fraction of a recording in which a temporary fault acts
