@@ -48,6 +48,7 @@ GAIN = 0.01  # relative error of these gains, if the empty arm agrees with its d
 LINK_ERROR = 0.15  # relative error of the masses and mass distributions of links
 RADIUS = 0.05  # [m]; assumed radius of gyration of a payload
 REACH = 0.5  # [m]; expected distance of the centre of mass from the origin of the link
+LEAST_COM_ERROR = 5e-4  # [m]; joints bend, and the frames of links are not exact
 MOST_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is unknown
 CERTAIN = 3.0  # a payload is certain if its mass exceeds this many standard errors
 LIGHTEST = 0.1  # [kg]; lower bound of the mass in the expected second moments
@@ -177,7 +178,7 @@ def measure_payload(
     if has_gravity:
         gains = _gains(without, _link_variances(dynamics, joints, partner))
     fit = _fit(with_load, without, gains)
-    errors = np.sqrt(_variances(fit))
+    errors = np.sqrt(_variances(fit) + np.array([0.0, 1.0, 1.0, 1.0]) * LEAST_COM_ERROR**2)
     fitted, moments = with_load.payload @ fit.x, moment_matrices(fit.x)
     return PayloadEstimate(
         link,
@@ -287,7 +288,7 @@ class _Gains(NamedTuple):
     common: float
     """Relative error of all gains that the errors of the links do not explain."""
     spread: float
-    """Relative error of single gains that the errors of the links do not explain."""
+    """Standard deviation of the ratios of single joints."""
 
 
 def _gains(empty: _Rows, link_variances: Floats) -> _Gains:
@@ -304,7 +305,7 @@ def _gains(empty: _Rows, link_variances: Floats) -> _Gains:
     weights = 1.0 / variances / np.sum(1.0 / variances)
     ratio, variance = float(weights @ ratios), float(1.0 / np.sum(1.0 / variances))
     common = max((ratio - 1.0) ** 2 - variance, 0.0)
-    spread = max(float(weights @ ((ratios - ratio) ** 2 - variances)), 0.0)
+    spread = float(weights @ (ratios - ratio) ** 2)
     return _Gains(ratio, variance**0.5, common**0.5, spread**0.5)
 
 
