@@ -55,7 +55,7 @@ _POSES = 300
 """Number of random poses. At least one of these poses must be permitted."""
 _MOST_TRIALS = 2000
 _FEWEST_TRIALS = 60
-_LARGEST_WORK = 1e10
+_LARGEST_WORK = 6e9
 """Approximate number of multiplications that a search may need."""
 _CHANGED = 0.3
 """Fraction of the coefficients that a trial changes."""
