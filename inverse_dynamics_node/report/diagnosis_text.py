@@ -212,7 +212,7 @@ def _changes(fault: Fault) -> str:
         for each in changes
     )
     cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'correcting this alone'
-    how = 'friction fitted in both cases'
+    how = 'friction and small errors of the links fitted in both cases'
     if fault.kind is FaultKind.BODIES:
         how += ', fitted links tested by two-fold cross-validation'
     more = len(fault.changes) - len(changes)

@@ -202,9 +202,9 @@ def test_node_with_the_file_of_a_driver(run_node, robot, run_program, tmp_path, 
         assert set(last.data if arm.driver.form is Form.EFFORTS else last.effort) == {0.0}
 
 
-def test_efforts_beside_a_position_controller_end_the_sag(run_node, robot, play):
+def test_efforts_beside_a_position_controller_end_the_sag(run_node, robot, run_program, tmp_path):
     """Without the node, the arm sags as far as the gains of its drives permit; it never falls."""
-    arm = play('beside_a_position_controller')
+    arm = Robot('beside_a_position_controller', run_program, robot, tmp_path / 'robot.log')
     start = start_pose(MODEL.robot, MODEL)
     arm.wait_for_states()
 

@@ -64,7 +64,8 @@ class Change(NamedTuple):
     """
     RMS residual of one joint, before and after a fault is corrected.
 
-    Friction is fitted in both cases. All values are in the unit of the recorded efforts.
+    Friction and small errors of the links are fitted in both cases. All values are in the unit of
+    the recorded efforts.
     """
 
     joint: str
