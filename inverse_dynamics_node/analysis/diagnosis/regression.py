@@ -33,7 +33,7 @@ FLOOR = 0.02  # accuracy of models, as a fraction of a joint's RMS effort
 GOOD_FLOOR = 0.005  # the same for models with good bodies
 LEAST_FLOOR = 0.001  # the same, as a fraction of the largest RMS effort
 UNEXPLAINED = 0.3  # fraction of the squared effort that a good fit leaves at most
-MOST_UNEXPLAINED = 0.6  # the same for all joints together; more is reported at rest too
+MOST_UNEXPLAINED = 0.5  # the same for all joints of a type; more is reported at rest too
 NOISE_FLOOR = 2.0  # RMS residuals below this multiple of the noise need no explanation
 SEGMENTS = 40  # for samples that nothing explains
 LOUD = 4.0  # multiple of the median loudness above which segments lose their weight
@@ -272,7 +272,7 @@ class Regression:
             for same in (kinds, ~kinds)
             if same.any()
         ]
-        is_bad = float(np.mean(fractions)) > MOST_UNEXPLAINED
+        is_bad = min(fractions) > MOST_UNEXPLAINED
         return np.asarray(left > least if is_bad and not found.any() else found)
 
     def has_wrong_bodies(self, fit: Fit) -> bool:
