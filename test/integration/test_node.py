@@ -281,7 +281,7 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
         ({'robot_description': f"'{BAD_URDF}'"}, "duplicate link name 'a'"),
         ({'robot_description': 'arm.urdf'}, "is 'arm.urdf', expected the URDF as XML text; for a"),
         ({**FAST, 'robot_description': f"'{BAD_URDF}'"}, 'are both set'),
-        ({**FAST, 'joints': '[nose]'}, "joints lists 'nose'"),
+        ({**FAST, 'joints': '[nose]'}, "joint 'nose' does not exist; joints are joint_1"),
         ({**FAST, 'use_sim_time': 'soon'}, "of type 'STRING', expecting type 'BOOL'"),
         ({**FAST, 'gravity': '[0.0, 0, -9.8]'}, 'Sequence should be of same type'),
         ({**FAST, 'locked_positions.jiont_6': 0.2}, "lists 'jiont_6', expected only joints of"),
