@@ -68,6 +68,7 @@ def probe(robot, domain_id, *options):
             return process.returncode, lines.read()
 
 
+@pytest.mark.long  # needs a machine without other tests: an arm without friction leaves its room
 def test_an_arm_without_a_fault_passes_and_the_parameters_are_restored(domain_id, run_node, robot):
     with floating_arm(robot, domain_id, run_node):
         before = [robot.get_parameter(name) for name in KEPT]
