@@ -213,14 +213,16 @@ def _follow(
     request = None
     while not probe.is_over and not signals:
         now = time.monotonic()
+        if is_set is not None and is_set():
+            is_set = None
         for time_, q, commands in prober.measurements():
             heard = now
+            if is_set is not None:
+                continue  # the joint is still held, or not yet
             is_zero = not commands.any() and bool(dynamics.gravity_efforts(q).any())
             request = probe.step(time_, q, commands / scale, _stopped(observer, is_zero))
         if request is not None:
             prober.refer(request.positions, request.efforts)
-            if is_set is not None and is_set():
-                is_set = None
             if is_set is None and (request.is_held != is_held).any():
                 is_held = request.is_held
                 gains = node_parameters(dynamics.robot, joints, is_held, period)

@@ -29,7 +29,7 @@ from .runner import LoopRunner
 from .status_text import describe_imu_frame
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
-_OLDEST = 1.0  # [s]; a state that seems older was stamped by another clock
+_OLDEST = 0.1  # [s]; a state that seems older was stamped by another clock
 _RISE_OF_DELAY, _LONGEST_RISE = 0.2, 0.1  # [s/s], [s]
 _SMALL_CHANGE = 0.05  # smaller relative changes of gravity are not logged
 _MAX_REFERENCE = 1 << 16  # [bytes]; reading so many bytes delays commands by 2 ms

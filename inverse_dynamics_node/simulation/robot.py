@@ -52,6 +52,7 @@ from .mujoco import MujocoRobot
 from .trajectory import start_pose
 
 COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of wrong commands
+LARGEST_DELAY = 20_000_000  # [ns]; of the stamps
 MOST_LAG = 0.5  # [s]: largest lag of the simulated time behind the steady clock
 
 N = TypeVar('N', bound=Node)
@@ -118,11 +119,13 @@ class RobotNode(Node):
         """Advance the simulation by a duration [s], and publish the new state."""
         self._hand_over.advance(self._elapsed, duration)
         self._elapsed += duration
+        now = self.get_clock().now().nanoseconds
         if self._began is None:
-            self._began = self.get_clock().now().nanoseconds
+            self._began = now
         # Stamps are in simulated time, because states are published late after a pause of the
-        # machine.
-        stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()
+        # machine. A simulation that is farther behind would look like a delay of the driver.
+        simulated = self._began + round(self._elapsed * 1e9)
+        stamp = Time(nanoseconds=max(simulated, now - LARGEST_DELAY)).to_msg()
         if self._clocks is not None:
             self._clocks.publish(Clock(clock=stamp))
         positions, velocities, efforts = self.robot.state()

@@ -35,7 +35,7 @@ def test_wrong_velocities_stop_the_arm_until_it_is_enabled(run_node, robot, wait
 
 
 def test_a_driver_whose_states_arrive_late_stops_the_arm(run_node, robot):
-    robot.age = 0.3
+    robot.age = 0.07
     robot.publish_state(JOINTS, np.zeros(len(JOINTS)), np.zeros(len(JOINTS)))
     node = run_node(robot_description_file=str(ARM), mode='computed_torque')
     zeros = np.zeros(len(JOINTS))
