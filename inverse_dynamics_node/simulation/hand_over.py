@@ -86,7 +86,7 @@ class HandOver:
         if now - self._last_command > SILENCE and not self.is_held:
             self._take_over()
             self._log.info('no commands arrive, so the position controller holds the robot')
-        steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
+        steps = _steps_in(duration)
         for i in range(steps):
             if self.is_held:
                 phase = self._frequency * (now + i * duration / steps)
@@ -105,6 +105,11 @@ class HandOver:
         self._robot.stop()
         self._start = self._robot.positions()
         self._reach = np.zeros_like(self._start)
+
+
+def _steps_in(duration: float) -> int:
+    """Return the number of simulation steps in a duration [s]."""
+    return max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
 
 
 class PositionLoop:
@@ -134,7 +139,7 @@ class PositionLoop:
 
     def advance(self, now: float, duration: float) -> None:
         """Advance the simulation from the time ``now`` by a duration [s]."""
-        steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
+        steps = _steps_in(duration)
         for _ in range(steps):
             self._actuation.act()
             self._actuation.robot.advance(duration / steps)

@@ -52,7 +52,7 @@ from .mujoco import MujocoRobot
 from .trajectory import start_pose
 
 COMPLAINT_PERIOD = 5.0  # [s]: shortest time between logs of wrong commands
-LARGEST_DELAY = 20_000_000  # [ns]; of the stamps
+_LARGEST_DELAY = 20_000_000  # [ns]: of the stamps behind the clock
 MOST_LAG = 0.5  # [s]: largest lag of the simulated time behind the steady clock
 
 N = TypeVar('N', bound=Node)
@@ -89,10 +89,8 @@ class RobotNode(Node):
         self._hand_over: HandOver | PositionLoop
         holder = 'its position controller'
         if driver.has_position_loop:
-            self._hand_over, holder = (
-                PositionLoop(self._actuation),
-                'the position loops of its drives',
-            )
+            self._hand_over = PositionLoop(self._actuation)
+            holder = 'the position loops of its drives'
             self.create_subscription(JointState, '~/positions', self._on_positions, 10)
         else:
             self._hand_over = HandOver(self._actuation, self.get_logger(), sways, release)
@@ -123,9 +121,12 @@ class RobotNode(Node):
         if self._began is None:
             self._began = now
         # Stamps are in simulated time, because states are published late after a pause of the
-        # machine. A simulation that is farther behind would look like a delay of the driver.
-        simulated = self._began + round(self._elapsed * 1e9)
-        stamp = Time(nanoseconds=max(simulated, now - LARGEST_DELAY)).to_msg()
+        # machine. Without /clock, a simulation that is farther behind would look like a delay of
+        # the driver.
+        nanoseconds = self._began + round(self._elapsed * 1e9)
+        if self._clocks is None:
+            nanoseconds = max(nanoseconds, now - _LARGEST_DELAY)
+        stamp = Time(nanoseconds=nanoseconds).to_msg()
         if self._clocks is not None:
             self._clocks.publish(Clock(clock=stamp))
         positions, velocities, efforts = self.robot.state()
