@@ -228,6 +228,17 @@ def node_name(text: str) -> str:
     return text
 
 
+def add_node(parser: argparse.ArgumentParser) -> None:
+    """Add the name of a running node, which may be left out."""
+    parser.add_argument(
+        'node',
+        nargs='?',
+        type=node_name,
+        metavar='NODE',
+        help='name of the node, as in ros2 node list (default: the only inverse dynamics node)',
+    )
+
+
 def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
     Return the full name of the inverse dynamics node that the user wants.

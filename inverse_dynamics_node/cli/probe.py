@@ -22,7 +22,7 @@ from ..errors import ConfigurationError
 from ..report.probe_report import as_json, probe_table, probe_verdict
 from ..robot.model import RobotModel
 from . import arguments
-from .arguments import choose_node, node_name
+from .arguments import choose_node
 from .console import collected_signals, say
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ exit code:
 
 _FAULT, _UNDECIDED = 3, 4
 _SILENCE = 0.5  # [s]; after this time without joint states, the probe ends
+_REPETITION = 2.0  # [s]; a request that is not answered is sent again
 _POLL = 0.001  # [s]
 _FLOATING = 'floating: no reference', 'holding position: no reference'
 _STATES = 50  # joint states whose times show the period
@@ -67,13 +68,7 @@ def make_parser() -> argparse.ArgumentParser:
         'scale of the commands. This moves the arm a little.',
         EPILOG,
     )
-    parser.add_argument(
-        'node',
-        nargs='?',
-        type=node_name,
-        metavar='NODE',
-        help='name of the node, as in ros2 node list (default: the only inverse dynamics node)',
-    )
+    arguments.add_node(parser)
     parser.add_argument(
         '--share',
         type=arguments.number('a number from 0 to 1', lambda value: 0.0 < value <= 1.0),
@@ -208,7 +203,7 @@ def _follow(
     signals: list[int],
 ) -> None:
     """Do what the probe requests until it is over."""
-    is_held, is_set = probe.is_held.copy(), None
+    is_held, is_set, due = probe.is_held.copy(), None, 0.0
     began = heard = time.monotonic()
     request = None
     while not probe.is_over and not signals:
@@ -218,13 +213,15 @@ def _follow(
         for time_, q, commands in prober.measurements():
             heard = now
             if is_set is not None:
-                continue  # the joint is still held, or not yet
+                continue  # the node does not hold the joints of the last request yet
             is_zero = not commands.any() and bool(dynamics.gravity_efforts(q).any())
             request = probe.step(time_, q, commands / scale, _stopped(observer, is_zero))
         if request is not None:
             prober.refer(request.positions, request.efforts)
-            if is_set is None and (request.is_held != is_held).any():
-                is_held = request.is_held
+            # A request or its answer may be lost.
+            is_lost = is_set is not None and now > due
+            if is_lost or (request.is_held != is_held).any():
+                is_held, due = request.is_held, now + _REPETITION
                 gains = node_parameters(dynamics.robot, joints, is_held, period)
                 is_set = prober.request({name: gains[name] for name in ('kp', 'kd')})
         if now > heard + _SILENCE:

@@ -23,7 +23,7 @@ from ..analysis.diagnosis.live import (
 )
 from ..report.diagnosis_text import agreement_sentence
 from . import arguments
-from .arguments import choose_node, MOST_DISCOVERY, node_name, only_one
+from .arguments import choose_node, MOST_DISCOVERY, only_one
 from .console import handled_signals
 from .live_view import as_json, as_line, live_view
 from .recordings import reported_convention
@@ -73,13 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
         'On a terminal, the view is updated in place; in a pipe, one line per second is printed.',
         EPILOG,
     )
-    parser.add_argument(
-        'node',
-        nargs='?',
-        type=node_name,
-        metavar='NODE',
-        help='name of the node, as in ros2 node list (default: the only inverse dynamics node)',
-    )
+    arguments.add_node(parser)
     parser.add_argument(
         '--for',
         dest='duration',
