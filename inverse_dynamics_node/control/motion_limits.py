@@ -352,6 +352,7 @@ def restrain(rows: Any, tau: Any, added: Any, factor: float, elapsed: float) -> 
     is the time step of ramps [s].
 
     """
+    # Without numba, floats do not cause warnings, as numpy scalars do.
     for k in range(len(added)):
         limit, pace = factor * float(rows[_SPEED, k]), float(rows[_PACE, k])
         effort = float(tau[int(rows[_INDEX, k])]) + float(added[k])

@@ -259,13 +259,14 @@ def describe_compensation(loop: ControlLoop, nodes: Sequence[str]) -> str:
     """Name a node whose driver compensates gravity itself, although the commands contain it."""
     if not loop.loads.include_gravity:
         return ''
-    found = (name for name in nodes if name.rpartition('/')[2] in _COMPENSATING)
-    for name in found:
-        preset = f'config/robots/{_COMPENSATING[name.rpartition("/")[2]]}.yaml'
-        return (
-            f'{name} belongs to a driver that compensates gravity itself, but include_gravity is '
-            f'true, so the arm would get gravity twice: use the settings in {preset}'
-        )
+    for name in nodes:
+        preset = _COMPENSATING.get(name.rpartition('/')[2])
+        if preset:
+            return (
+                f'{name} belongs to a driver that compensates gravity itself, but include_gravity '
+                'is true, so the arm would get gravity twice: use the settings in '
+                f'config/robots/{preset}.yaml'
+            )
     return ''
 
 

@@ -25,7 +25,6 @@ SIZE = 0.2  # [m], assumed size of bodies
 LIGHTEST = 0.1  # [kg]; lighter bodies are assumed to be as uncertain as bodies of this mass
 NEGLIGIBLE = 1e-3  # combinations of bodies with smaller efforts, as a fraction of the RMS effort
 SMALL = 0.01  # the efforts of bodies are compared with this fraction of the largest RMS effort
-SLOWEST = 1e-3  # [rad/s or m/s]; joints with a smaller range of speeds do not move
 DAMPING, COULOMB, LOAD_FRICTION, ROTOR, OFFSET = range(5)
 """Columns of each drive."""
 POINT_MASS = 4
@@ -166,7 +165,7 @@ class Rows:
         states: tuple[Floats, Floats, Floats],
         has_gravity: bool,
     ) -> Floats:
-        """Return columns of all states, without the efforts at rest if there is no gravity."""
+        """Return columns of all states; without gravity, leave out the efforts at rest."""
         found = columns(states)
         if not has_gravity:
             still = np.zeros_like(states[0])
