@@ -325,7 +325,7 @@ def _link_variances(dynamics: InverseDynamics, joints: Sequence[int], run: Motio
 
 
 def _variance_of_noise(residual: Floats, unknowns: int) -> float:
-    """Return the variance of residuals times the number of rows that count as one."""
+    """Return the variance of correlated residuals, per independent row."""
     lags = np.correlate(residual, residual, 'full')[len(residual) - 1 :]
     positive = np.cumprod(lags > 0.0) * lags
     return float(2.0 * positive.sum() - lags[0]) / max(len(residual) - unknowns, 1)

@@ -128,7 +128,7 @@ class Push(NamedTuple):
     side: float = 0.0
     """The direction in which it has moved, 1 or -1."""
     is_certain: bool = True
-    """Whether the motion follows from the effort, and is no drift."""
+    """Whether the effort explains the motion; otherwise it may be a drift."""
 
 
 class JointResult(NamedTuple):

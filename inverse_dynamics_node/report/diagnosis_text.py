@@ -370,7 +370,7 @@ _UNIT_ADVICE = (
 )
 _FACTOR_ADVICE = (
     'The torque constants of the driver, or all masses of the URDF, may be wrong by this factor. '
-    'A known payload tells which: see inverse_dynamics payload.'
+    'To find out which, measure a payload of known mass with inverse_dynamics payload.'
 )
 _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = {
     FaultKind.POSITIONS: _fixed(

@@ -80,7 +80,7 @@ class _Interview:
         self._answers: list[tuple[Any, Any]] = []  # to each pair of requests
         self._next_request = 0.0
         self.controller: Controller | None = None
-        """The answer; None before the answer, and if the subscriber is no controller."""
+        """The answer; None until it arrives, and if the subscriber is not a controller."""
 
     def proceed(self, now: float) -> Controller | None:
         """Send a request if one is due; return the answer once. `now` is the steady time [s]."""
@@ -112,7 +112,7 @@ class _Interview:
         return self._client is not None and self._client.service_is_ready()
 
     def end(self) -> None:
-        """Ask no more."""
+        """Stop asking."""
         self._next_request, self._answers = -1.0, []
         if self._client is not None:
             self._node.destroy_client(self._client)

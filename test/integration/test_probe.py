@@ -76,7 +76,7 @@ def test_an_arm_without_a_fault_passes_and_the_parameters_are_restored(domain_id
         assert code in (0, 4), output
         result = json.loads(output.splitlines()[-1])
         verdicts = [joint['verdict'] for joint in result['joints']]
-        # On a busy machine, the simulated robot falls behind the pushes: that is no fault.
+        # On a busy machine, the simulated robot falls behind the pushes. This is not a fault.
         assert set(verdicts) <= {'right', 'not moved', 'restless'}, output
         assert verdicts.count('right') >= len(NAMES) // 2, output
         assert [robot.get_parameter(name) for name in KEPT] == before

@@ -39,8 +39,8 @@ def check_velocities(names: Sequence[str], times: Floats, q: Floats, qd: Floats)
     """
     Compare the velocities of m joints with the positions, both of shape (k, m).
 
-    Joints with velocities that are NaN have no measured velocity. They count as compared, because
-    the node derives their velocities from the positions.
+    Velocities that are NaN were not measured. The joints then count as compared, because there is
+    nothing to compare.
     """
     compared = np.zeros(len(names), dtype=bool)
     factors: dict[str, float] = {}

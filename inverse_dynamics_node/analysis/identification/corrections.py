@@ -21,7 +21,7 @@ from .regression import Model, Regression, TERMS
 SIGNIFICANT = 5.0
 """A gain is known if its inverse exceeds this many standard errors of the inverse."""
 MOST_ERROR = 0.1
-"""Joints with larger standard errors of their factor do not tell a common factor."""
+"""Joints with a larger standard error of their factor are not used for a common factor."""
 EXPECTED_SPREAD = 0.03
 """Usual difference between the factors of the joints."""
 LEAST_FACTOR, LEAST_CHANGE, CERTAIN = 0.2, 0.05, 3.0
