@@ -65,9 +65,15 @@ exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid ar
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
 _ROS_COMMANDS = 'payload', 'watch', 'probe', 'simulate'  # commands that accept --ros-args
-_PIP = "in a virtual environment, run pip install 'inverse_dynamics_node"
+# Ubuntu 24.04 refuses `pip install` outside of a virtual environment, and its scipy needs numpy 1.
+_IS_VENV = sys.prefix != sys.base_prefix
+_PIP = 'run pip install' if _IS_VENV else 'run pip install --break-system-packages'
 _ADVICE = {
-    **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), f"{_PIP}[cli]'"),
+    'matplotlib': f'{_PIP} matplotlib, or sudo apt install python3-matplotlib',
+    'rich': f'{_PIP} rich, or sudo apt install python3-rich',
+    'yaml': f'{_PIP} pyyaml, or sudo apt install python3-yaml',
+    'rosbags': f'{_PIP} rosbags' if _IS_VENV else f"{_PIP} rosbags 'numpy<2'",
+    'mujoco': f'{_PIP} mujoco',
     **dict.fromkeys(
         (
             'diagnostic_msgs',
@@ -77,9 +83,9 @@ _ADVICE = {
             'std_msgs',
             'trajectory_msgs',
         ),
-        f"source the setup file of ROS 2, or, {_PIP}[ros,demo]'",
+        "source the setup file of ROS 2, or run pip install '.[ros,demo]' in a copy of the "
+        'repository',
     ),
-    'mujoco': f"{_PIP}[demo]'",
 }
 """Advice for each package that may be missing."""
 _INVALID_ARGUMENTS = 2

@@ -100,7 +100,7 @@ def _start(args: list[str], stop: _Stop) -> int:
     except ModuleNotFoundError as error:
         return _fail(
             f'{error}; source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or run '
-            "pip install 'inverse_dynamics_node[ros]'"
+            "pip install '.[ros]' in a copy of the repository"
         )
     from rclpy.utilities import remove_ros_args
 

@@ -163,8 +163,8 @@ def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
     result = run('inverse_dynamics', 'demo', urdf)
     assert result.returncode == 1
     advice = result.stderr.partition("pip install '")[2].partition("'")[0]
-    assert advice == 'inverse_dynamics_node[ros,demo]', result.stderr
-    result = run('pip', 'install', '--quiet', advice)
+    assert advice == '.[ros,demo]', result.stderr
+    result = run('pip', 'install', '--quiet', advice.replace('.', str(wheel), 1))
     assert result.returncode == 0, result.stderr
     result = run('inverse_dynamics', 'demo', urdf)
     # On a busy machine, the demo may fail.
