@@ -19,8 +19,8 @@ _TERMS = {
     'velocity': style.PINK,
     'friction': style.GREY,
 }
-_NEGLIGIBLE = 1e-6
-"""Peaks smaller than this fraction of the largest peak are rounding errors."""
+_LEAST_OF_LIMIT, _LEAST_OF_PEAKS = 0.02, 1e-6
+"""An axis covers at least this fraction of the limit, or else of the largest peak."""
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
 """Largest number of letters in a name above a panel, for each number of columns."""
 
@@ -54,22 +54,23 @@ def _draw_joint(axes: Any, requirements: EffortRequirements, k: int, name: str, 
     axes.plot(times[shown], efforts, color=style.BLUE, linewidth=2.0, label='effort')
     limit = float(requirements.effort_limits[k])
     peak = abs(float(requirements.peak[k]))
-    if peak <= _NEGLIGIBLE * np.max(np.abs(requirements.peak)):
-        peak = 0.0
-    colour = style.RED if requirements.is_beyond['effort'][k] else style.BLUE
-    axes.plot(
-        requirements.peak_time[k], requirements.peak[k], 'D', color=colour, markersize=5, zorder=5
-    )
+    is_beyond = requirements.is_beyond['effort'][k]
+    place = requirements.peak_time[k], requirements.peak[k]
+    axes.plot(*place, 'D', color=style.RED if is_beyond else style.BLUE, markersize=5, zorder=5)
     # Distant limits are only in the title, because they would flatten the curves.
     if limit < 2.5 * peak:
         end = float(np.copysign(limit, requirements.peak[k]))
         axes.axhline(end, color=style.RED, linestyle='--', linewidth=1.2)
-    if peak == 0.0:
-        axes.set_ylim(-1.0, 1.0)
+    is_limited = limit < math.inf
+    least = _LEAST_OF_PEAKS * float(np.max(np.abs(requirements.peak))) or 1.0
+    least = _LEAST_OF_LIMIT * limit if is_limited else least
+    if peak < least:
+        axes.set_ylim(-least, least)
     # The name has its own line, because it may be as wide as the panel.
-    words = f'{peak:.3g} {unit}, no limit'
-    if limit < math.inf:
-        words = f'{peak:.3g} of {number(limit)} {unit}'
+    words = (
+        f'{peak:.3g} of {number(limit)} {unit}' if is_limited else f'{peak:.3g} {unit}, no limit'
+    )
+    colour = style.RED if is_beyond else style.DARK
     axes.set_title(f'{name}\npeak {words}', fontsize=9, color=colour, pad=3)
     axes.tick_params(labelsize=8.5)
     axes.locator_params(axis='y', nbins=5)
