@@ -119,7 +119,7 @@ mutation: $(VENV)/mutation.done
 
 # Writes the parameter file and the table of parameters after a change of their declaration.
 parameters: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.help --write
+	@$(CLEAN) $(BIN)/python doc/parameters.py
 
 # Draws the pictures in doc/images, and prints the reports that belong to them.
 pictures: $(VENV)/test.done

@@ -59,7 +59,7 @@ def ros_arguments(folder, **given):
         values.setdefault(name, performed(argument.get('default'), values))
     arguments = [
         *words(NODE.get('ros_args'), values),
-        *('--ros-args', '-r', f'__node:={NODE.get("name")}'),
+        *('--ros-args', '-r', f'__node:={performed(NODE.get("name"), values)}'),
         *('-r', f'__ns:=/{performed(NODE.get("namespace"), values)}'),
     ]
     for number, param in enumerate(NODE.findall('param')):

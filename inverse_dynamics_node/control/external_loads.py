@@ -74,7 +74,6 @@ class ExternalLoads:
         self.needs_update = False
         """Whether a load was set, or may have to end, so that `update` has anything to do."""
         self._is_base_lost = True
-        self._is_new_signal = False  # whether the next motion of the base restarts the filter
         self._write_base()
 
     def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
@@ -154,19 +153,15 @@ class ExternalLoads:
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
         turning = _read_bounded('angular velocity', angular_velocity, 'rad/s')
-        was_lost = self._is_base_lost or self._is_new_signal or not self.is_base_known(now)
+        was_lost = self._is_base_lost or not self.is_base_known(now)
         self._imu_filter.value = np.array([self.gravity, self._angular_velocity])
         sample = np.array([-force, turning])
         self.gravity, self._angular_velocity = self._imu_filter.update(
             now, sample, restarts=was_lost
         )
-        self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
+        self.imu_time, self._is_base_lost = now, False
         self._write_base()
         self._note(may_jump=was_lost)
-
-    def expect_new_signal(self) -> None:
-        """Restart the filter at the next call of `set_base_motion`."""
-        self._is_new_signal = True
 
     def is_base_known(self, now: float) -> bool:
         """Return whether the motion of the base was measured within the timeout."""

@@ -296,4 +296,7 @@ def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
     if len(set(joints)) != len(joints):
         raise ConfigurationError(f'parameter joints lists a joint twice: {", ".join(joints)}')
-    return robot.joint_indices(joints)
+    try:
+        return robot.joint_indices(joints)
+    except ConfigurationError as error:
+        raise ConfigurationError(f'parameter joints: {error}') from None

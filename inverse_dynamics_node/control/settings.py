@@ -172,7 +172,8 @@ class Settings:
         'follows a reference beyond its limit stops the arm, as does any joint at twice the limit '
         'that applies',
         unit='rad/s, m/s',
-        minimum=-1.0,
+        minimum=0.0,
+        special=-1.0,
     )
     guiding_speed: float = setting(
         0.5,

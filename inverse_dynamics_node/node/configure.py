@@ -7,22 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..control.loop import ControlLoop
+from ..control.stop_damping import TIMEOUT
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
-from .parameters import BaseMotion, Configuration, PARAMETERS
+from .parameters import BaseMotion, Configuration
 
-_DRIVES = (
-    'include_friction',
-    'damping',
-    'coulomb',
-    'coulomb_width',
-    'load_friction',
-    'armature',
-    'drive_coupling',
-    'spring_stiffness',
-    'spring_rest',
-)
+_LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
@@ -46,6 +37,19 @@ def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> Con
     apply_configuration(loop, configuration)
     loop.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))  # compiles further functions
     return loop
+
+
+def launch_warning(configuration: Configuration) -> str:
+    """Return a warning of a stop that `ros2 launch` would cut short, or ''."""
+    names, longest = 'stop_ramp', configuration.stop_ramp
+    if configuration.stop_damping:
+        names, longest = 'stop_ramp plus the time for stop_damping', longest + TIMEOUT
+    if longest < _LAUNCH_SIGTERM_TIMEOUT:
+        return ''
+    return (
+        f'{names} is {longest:g} s, but ros2 launch sends SIGTERM {_LAUNCH_SIGTERM_TIMEOUT:g} s '
+        'after SIGINT, and SIGTERM ends the ramp: increase sigterm_timeout of the launch action'
+    )
 
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> Mapping[str, Floats]:
@@ -78,17 +82,11 @@ def apply_configuration(
     is unchanged, it is not applied, because a message on ~/gravity may have replaced it.
     """
     of_joint = check_configuration(loop, configuration)
-    changed = {
-        name
-        for name in PARAMETERS
-        if before is None or getattr(before, name) != getattr(configuration, name)
-    }
-    if not changed.isdisjoint(_DRIVES):
-        _apply_drives(loop, configuration, of_joint)
+    _apply_drives(loop, configuration, of_joint)
     loop.loads.include(gravity=configuration.include_gravity)
     loop.measured_gravity = configuration.measured_gravity
     loop.external_effort_estimator.scale[loop.index] = of_joint['measured_effort_scale']
-    if before is not None and 'gravity' in changed and not loop.has_imu:
+    if before is not None and before.gravity != configuration.gravity and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
     # This call also blends in the changes above.
     loop.apply(configuration)

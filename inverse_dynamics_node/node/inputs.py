@@ -24,6 +24,7 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..ros.cdr import JointStateReader, stamp_of
 from ..ros.middleware import BEST_EFFORT, overridable, QUEUED, RELIABLE
+from ..ros.private import waiting_messages
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .status_text import describe_imu_frame
@@ -41,9 +42,8 @@ class Inputs:
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
         self._uses_sim_time = node.get_parameter('use_sim_time').value
-        self._configuration: Configuration | None = None  # that was used last
-        self._reported_gravity: tuple[ControlLoop, Floats] | None = None
-        self._checked_imu: tuple[ControlLoop, str] | None = None
+        self._reported_gravity: tuple[ControlLoop, Configuration, Floats] | None = None
+        self._imu: tuple[ControlLoop, str] | None = None  # loop and frame of the last message
         self._collector: JointStateCollector | None = None  # of `self._reader`
         self.last_joint_state = time.monotonic()
         """Monotonic time of the last joint state [s]; initially the start time."""
@@ -78,24 +78,11 @@ class Inputs:
             JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, RELIABLE, raw=True
         )
 
-    def _use_parameters(self, loop: ControlLoop) -> Configuration:
-        """Return the parameters; after a change, forget what was reported on IMU and gravity."""
-        configuration = self._runner.configuration
-        if configuration is not self._configuration:
-            self._configuration = configuration
-            self._reported_gravity = self._checked_imu = None
-            R_BS = rotation_of_rpy(*configuration.imu_orientation)
-            if (R_BS != self._R_BS).any():
-                loop.loads.expect_new_signal()
-            self._R_BS = R_BS
-        return configuration
-
     def read_latest_joint_state(self) -> None:
         """Handle the latest joint state before the executor does."""
-        with self._states.handle:
-            message = self._states.handle.take_message(JointState, True)
-        if message is not None:
-            self._on_joint_state(message[0])
+        taken = next(waiting_messages(self._states, JointState, raw=True), None)
+        if taken is not None:
+            self._on_joint_state(taken[0])
 
     def _on_joint_state(self, data: bytes) -> None:
         self.last_joint_state = time.monotonic()
@@ -194,12 +181,11 @@ class Inputs:
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
         """Log a change of gravity; warn if it is over 90 degrees off the parameter `gravity`."""
-        configuration = self._use_parameters(loop)
-        if self._reported_gravity is not None and self._reported_gravity[0] is loop:
-            change = np.linalg.norm(gravity - self._reported_gravity[1])
-            if change <= _SMALL_CHANGE * np.linalg.norm(gravity):
-                return
-        self._reported_gravity = loop, gravity
+        configuration, last = self._runner.configuration, self._reported_gravity
+        known = last[2] if last and last[:2] == (loop, configuration) else np.inf
+        if np.linalg.norm(gravity - known) <= _SMALL_CHANGE * np.linalg.norm(gravity):
+            return
+        self._reported_gravity = loop, configuration, gravity
         text = f"{_listed(gravity)} m/s^2 in the frame of '{loop.base_link}'"
         expected = np.array(configuration.gravity)
         is_problem = bool(gravity @ expected < 0.0)
@@ -212,17 +198,18 @@ class Inputs:
         self._log.report_message('~/gravity', text, is_problem=is_problem)
 
     def _on_imu(self, message: Imu) -> None:
-        if self._runner.configuration.base_motion is not BaseMotion.IMU:
+        configuration, frame = self._runner.configuration, message.header.frame_id
+        if configuration.base_motion is not BaseMotion.IMU:
             return
 
         def store(loop: ControlLoop, now: float) -> None:
-            self._use_parameters(loop)
-            loop.loads.set_base_motion(now, *_read_imu(message, self._R_BS))
-            if self._checked_imu != (loop, message.header.frame_id):
-                self._checked_imu = loop, message.header.frame_id
-                text = describe_imu_frame(loop, message.header.frame_id, self._R_BS)
+            if self._imu != (loop, frame):
+                self._imu = loop, frame
+                self._R_BS = rotation_of_rpy(*configuration.imu_orientation)
+                text = describe_imu_frame(loop, frame, self._R_BS)
                 if text:
                     self._log.report_message('imu', text)
+            loop.loads.set_base_motion(now, *_read_imu(message, self._R_BS))
 
         self._handle('imu', store)
 

@@ -20,6 +20,7 @@ _PERIOD = 2.0  # [s]; between repetitions of an event
 _LONG_PERIOD = 10.0  # [s]; between repetitions of a lasting problem
 _MOST_CHANGES = 6  # at most this many changes of activity are logged within _PERIOD
 _MOST_MESSAGES = 3  # at most this many reports for each topic are logged within _PERIOD
+_ACTIVITY = 'activity'
 _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
 _NUMBER = re.compile(r'(?<!\w)[\d.]+')
 _LEVELS = dict.fromkeys(TOO_FAR_PHASES, Level.WARN) | dict.fromkeys(
@@ -63,15 +64,14 @@ class NodeLog:
             Level.ERROR: logger.error,
         }
         self._times: dict[Hashable, float] = {}  # time of the last message for each key
+        self._lines: dict[str, deque[float]] = {}  # times of the latest messages by their source
         self._last_activity: tuple[Phase, bool] | None = None
-        self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest changes
         self._problems: dict[str, tuple[Hashable, str]] = {}  # key and message for each part
-        self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
         """Let the next step report the activity, even if it has not changed."""
         self._last_activity = None
-        self._changes.clear()
+        self._lines.pop(_ACTIVITY, None)
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
@@ -80,13 +80,9 @@ class NodeLog:
         The log entry is a warning if `is_problem`. Nothing is logged if the same text was
         logged a moment ago, or if this topic has just had too many log entries.
         """
-        times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
-        now = time.monotonic()
-        is_full = len(times) == _MOST_MESSAGES and now - times[0] < _PERIOD
-        if is_full or not self._is_due((topic, hash(text))):
-            return
-        times.append(now)
-        self._write[Level.WARN if is_problem else Level.OK](f'{topic}: {text}')
+        if self._has_room(topic, _MOST_MESSAGES) and self._is_due((topic, hash(text))):
+            self._lines[topic].append(time.monotonic())
+            self._write[Level.WARN if is_problem else Level.OK](f'{topic}: {text}')
 
     def report_robot(self, loop: ControlLoop) -> None:
         """Report the loaded robot, and the warnings about its description."""
@@ -126,15 +122,19 @@ class NodeLog:
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
                 self._write[Level.WARN](f"joint_states: '{name}' has no velocity; zero is used")
-        steady = time.monotonic()
         # Several changes may follow in quick succession, for example after a clock jump.
-        if len(self._changes) == _MOST_CHANGES and steady - self._changes[0] < _PERIOD:
+        if not self._has_room(_ACTIVITY, _MOST_CHANGES):
             return  # the next step tries again
-        self._changes.append(steady)
-        self._last_activity = key
+        self._last_activity, steady = key, time.monotonic()
         level, text = _LEVELS.get(phase, Level.OK), activity(now, loop)
+        self._lines[_ACTIVITY].append(steady)
         self._times[_key_of(level, text)] = steady
         self._write[level](text)
+
+    def _has_room(self, source: str, most: int) -> bool:
+        """Return whether a source has had fewer than `most` log entries within _PERIOD."""
+        times = self._lines.setdefault(source, deque(maxlen=most))
+        return len(times) < most or time.monotonic() - times[0] >= _PERIOD
 
     def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast

@@ -97,6 +97,7 @@ def _start(args: list[str], stop: _Stop) -> int:
         import rclpy
 
         from ..ros.middleware import security_hints, start_ros
+        from ..ros.private import is_unknown_arguments
     except ModuleNotFoundError as error:
         return _fail(
             f'{error}; source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or run '
@@ -109,7 +110,7 @@ def _start(args: list[str], stop: _Stop) -> int:
     except UnicodeEncodeError as error:
         return _fail(f'argument {error.object!r} is not UTF-8')
     except Exception as error:
-        if type(error).__name__ == 'UnknownROSArgsError':  # no public module exports it
+        if is_unknown_arguments(error):
             return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
         return _fail('\n'.join([str(error), *security_hints(error)]))
     try:
@@ -147,10 +148,8 @@ def _run(stop: _Stop) -> int:
     watchdog = Watchdog()
     try:
         logger = node.get_logger()
-        is_permitted, text = scheduling.apply(
-            node.configuration.thread_priority, watchdog.native_id
-        )
-        if is_permitted:
+        is_fine, text = scheduling.apply(node.configuration.thread_priority, watchdog.native_id)
+        if is_fine:
             logger.info(text)
         else:
             logger.warning(text)

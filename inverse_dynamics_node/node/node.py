@@ -15,11 +15,11 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
-from ..control.stop_damping import TIMEOUT
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros.graph import Graph
 from ..ros.middleware import LATCHED, overridable
-from .configure import check_configuration, make_loop
+from ..ros.private import leave_graph
+from .configure import check_configuration, launch_warning, make_loop
 from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
@@ -41,7 +41,6 @@ from .trajectory_filler import TrajectoryFiller, Worker
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
 # On a busy machine, an answer is lost if the node leaves the graph before the client has read it.
 _ANSWER_TIME = 1.0  # [s]; between a shutdown transition and the end of the node
-_LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
 _FAILURE = TransitionCallbackReturn.FAILURE
@@ -68,7 +67,7 @@ class InverseDynamicsNode(LifecycleNode):
     ) -> None:
         self._worker, self._scheduling = worker, scheduling
         super().__init__('inverse_dynamics', **kwargs)
-        contain_errors(self, self._keep_up)
+        contain_errors(self, self.catch_up)
         configuration = declare_parameters(self)
         for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
@@ -161,12 +160,6 @@ class InverseDynamicsNode(LifecycleNode):
         self._runner.catch_up()
         self._diagnostics.publish_if_late()
 
-    def _keep_up(self) -> None:
-        """Handle the latest joint state, and step the loop if a step is late."""
-        if self._runner.is_active:
-            self._inputs.read_latest_joint_state()
-            self._runner.step_if_late()
-
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the robot description and compile the control loop."""
         try:
@@ -242,36 +235,23 @@ class InverseDynamicsNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node, so that it leaves the ROS graph at once."""
         super().destroy_node()
-        # In rclpy 7.1, the state machine keeps the node alive, and in the graph for another 20 s.
-        self._state_machine.destroy_when_not_in_use()
+        leave_graph(self)
 
     def _configure(self) -> None:
         configuration = self.configuration
         with self._scheduling.normal_priority():
             loop = make_loop(configuration, *load_robot(configuration, self._description))
         self._graph.expect_discovery()
-        self._warn_of_launch(configuration)
+        warning = launch_warning(configuration)
+        if warning:
+            self.get_logger().warning(warning)
         self._runner.configure(loop)
         # Garbage collection would otherwise search all libraries for tens of milliseconds.
         gc.freeze()
 
-    def _warn_of_launch(self, configuration: Configuration) -> None:
-        names, longest = 'stop_ramp', configuration.stop_ramp
-        if configuration.stop_damping:
-            names, longest = 'stop_ramp plus the time for stop_damping', longest + TIMEOUT
-        if longest >= _LAUNCH_SIGTERM_TIMEOUT:
-            self.get_logger().warning(
-                f'{names} is {longest:g} s, but ros2 launch sends SIGTERM '
-                f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, and SIGTERM ends the ramp: increase '
-                'sigterm_timeout of the launch action'
-            )
-
     def _find_subscribers(self) -> None:
         self._outputs.find_subscribers()
         self._runner.find_controllers()
-        change = self._graph.subscriber_change() if self._runner.is_active else ''
-        if change:
-            self.get_logger().info(change)
 
     # Parameters
 

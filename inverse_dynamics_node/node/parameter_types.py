@@ -115,6 +115,8 @@ class Parameter:
     unit: str = ''
     minimum: float = -UNBOUNDED
     maximum: float = UNBOUNDED
+    special: float | None = None
+    """A number below the minimum that has a meaning of its own."""
     is_live: bool = True
     """Whether a change applies without reconfiguring the node."""
     is_read_only: bool = False
@@ -135,17 +137,19 @@ class Parameter:
     @property
     def range(self) -> tuple[float, float] | None:
         """Smallest and largest permitted number; None if there is no range."""
-        has_range = self.kind.is_numeric and math.isfinite(self.minimum)
-        return (self.minimum, self.maximum) if has_range else None
+        if not self.kind.is_numeric or not math.isfinite(self.minimum):
+            return None
+        return self.minimum if self.special is None else self.special, self.maximum
 
     @property
     def range_text(self) -> str:
         """Text of the range or of the choices; may be empty."""
         if not self.range:
             return ', '.join(self.kind.choices)
+        special = '' if self.special is None else f'{self.special:g} or '
         if self.maximum < UNBOUNDED:
-            return f'{self.minimum:g} to {self.maximum:g}'
-        return f'at least {self.minimum:g}' if self.minimum > -UNBOUNDED else ''
+            return f'{special}{self.minimum:g} to {self.maximum:g}'
+        return f'{special}at least {self.minimum:g}' if self.minimum > -UNBOUNDED else ''
 
     @property
     def default_text(self) -> str:
@@ -178,12 +182,12 @@ class Parameter:
                 f'is {plain(value)!r}, expected {self.kind.expected}{hint}'
             ) from None
         if self.kind.is_numeric:
-            numbers = converted if isinstance(converted, tuple) else (converted,)
-            if not all(self.minimum <= number <= self.maximum for number in numbers):
-                expected = self.range_text or f'at least {self.minimum:g}'
-                if max(numbers) > UNBOUNDED:
-                    expected = f'at most {UNBOUNDED:g}'
-                raise ConfigurationError(f'is {plain(value)}, expected {expected}')
+            for number in converted if isinstance(converted, tuple) else (converted,):
+                if number != self.special and not self.minimum <= number <= self.maximum:
+                    expected = self.range_text or f'at least {self.minimum:g}'
+                    if number > UNBOUNDED:
+                        expected = f'at most {UNBOUNDED:g}'
+                    raise ConfigurationError(f'is {plain(value)}, expected {expected}')
         return _unlimited_where_zero(converted) if self.is_unlimited_at_zero else converted
 
 

@@ -28,6 +28,10 @@ VALUE_OF_URDF = -1.0
 """Value of `damping` or `coulomb` that stands for the value in the robot description."""
 
 
+PRIORITY = 50
+"""Value for which 0 stands in `thread_priority`; ros2_control_node has the same."""
+
+
 class BaseMotion(Enum):
     """How the motion of the base is known."""
 
@@ -71,10 +75,11 @@ class Configuration(Settings):
     )
     update_rate: float = parameter(
         0.0,
-        'Commands per second, at least 1. 0: one command for every joint state',
+        'Commands per second. 0: one command for every joint state',
         unit='Hz',
-        minimum=0.0,
+        minimum=1.0,
         maximum=10_000.0,
+        special=0.0,
         is_live=False,
     )
     dry_run: bool = parameter(
@@ -98,10 +103,12 @@ class Configuration(Settings):
         is_read_only=True,
     )
     thread_priority: int = parameter(
-        50,
-        '`SCHED_FIFO` priority of the control loop and the middleware',
-        'Without permission, the threads keep normal priority, and a warning is logged',
-        minimum=1,
+        0,
+        f'`SCHED_FIFO` priority of the control loop and the middleware. 0: {PRIORITY}, if the '
+        'machine permits it',
+        'Without permission, the threads keep normal priority. The diagnostics then warn only if '
+        'a priority is given',
+        minimum=0,
         maximum=99,
         is_live=False,
         is_read_only=True,
@@ -134,6 +141,7 @@ class Configuration(Settings):
         unit='rad',
         minimum=-7.0,
         maximum=7.0,
+        is_live=False,
     )
     include_gravity: bool = parameter(
         True,
@@ -164,13 +172,15 @@ class Configuration(Settings):
         VALUE_OF_URDF,
         'Viscous friction of the commanded joints. -1: value in the URDF',
         unit='N m s/rad, N s/m',
-        minimum=VALUE_OF_URDF,
+        minimum=0.0,
+        special=VALUE_OF_URDF,
     )
     coulomb: PerJoint = parameter(
         VALUE_OF_URDF,
         'Coulomb friction of the commanded joints. -1: value in the URDF',
         unit='N m, N',
-        minimum=VALUE_OF_URDF,
+        minimum=0.0,
+        special=VALUE_OF_URDF,
     )
     coulomb_width: PerJoint = parameter(
         FRICTION_WIDTH,

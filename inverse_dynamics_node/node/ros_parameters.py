@@ -6,40 +6,16 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 
-from ..errors import ConfigurationError, did_you_mean, plain, shortened
+from ..errors import ConfigurationError, did_you_mean, shortened
+from ..ros.private import overrides_of
 from .parameter_types import INTEGER, Parameter
-from .parameters import (
-    Configuration,
-    LOCKED,
-    LOCKED_POSITION,
-    PARAMETERS,
-    VALUE_OF_URDF,
-)
+from .parameters import Configuration, LOCKED, LOCKED_POSITION, PARAMETERS
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
-_REMOVED = {
-    'max_position_jump': 'set max_tracking_error, which also limits how far the arm falls behind',
-    'allow_description_file_changes': 'robot_description_file is only read at the start',
-    'cpu_affinity': 'start the node with a launch prefix, such as taskset --cpu-list 2',
-    'effort_offset': 'correct a constant offset in the driver',
-    'executor': 'the node always uses the EventsExecutor',
-    'external_efforts_cutoff': '~/external_efforts are filtered at 10 Hz',
-    'imu_filter_cutoff': 'the motion of the base is filtered at 20 Hz',
-    'imu_timeout': 'the motion of the base counts as lost after 0.2 s',
-    'load_ramp': 'loads are blended in over start_ramp',
-    'lock_memory': 'on a robot, switch swap off (swapoff -a)',
-    'on_missing_inertial': 'the node always warns',
-    'payload_transition_time': 'a new payload is blended in over start_ramp',
-    'stop_timeout': 'a stop is damped for at most 20 s',
-    'uncommanded_state_timeout': 'a joint that is not commanded counts as late after 1 s',
-    'sqrt_damping': 'use damping and coulomb, which identify fits instead',
-}
-"""Parameters of earlier versions, and what to do instead."""
 
 
 def declare_parameters(node: Node) -> Configuration:
@@ -48,12 +24,12 @@ def declare_parameters(node: Node) -> Configuration:
 
     Raise a ConfigurationError that names every unknown parameter and every invalid value.
     """
-    given = {name: parameter.value for name, parameter in _overrides(node).items()}
+    given = overrides_of(node)
     locked = [name for name in given if name.startswith(f'{LOCKED}.')]
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
     checked, problems = _checked(values)
-    problems += _contradictions(checked)
+    problems += _contradiction(checked)
     if values['allow_unknown_parameters'] is not True:
         unknown = unknown_overrides(node)
         problems += unknown
@@ -90,7 +66,7 @@ def changed_configuration(before: Configuration, values: dict[str, Any]) -> Conf
     checked, problems = _checked(values)
     locked = {**before.locked_positions, **checked.pop('locked_positions')}
     after = replace(before, **checked, locked_positions=locked)
-    problems += _contradictions(vars(after))
+    problems += _contradiction(vars(after))
     if problems:
         raise ConfigurationError(*problems)
     return after
@@ -109,15 +85,13 @@ def unknown_overrides(node: Node) -> list[str]:
     """Describe each unknown parameter on the command line or in parameter files."""
     later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
     return unknown_parameters(
-        node, (name for name in _overrides(node) if not name.startswith(later))
+        node, (name for name in overrides_of(node) if not name.startswith(later))
     )
 
 
 def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if not name:
         return 'a parameter without a name'
-    if name in _REMOVED:
-        return f"parameter '{name}' was removed: {_REMOVED[name]}"
     head, _, tail = name.partition('.')
     if tail and head in (LOCKED, _QOS):
         return f"parameter '{shortened(name)}' can only be set when the process starts"
@@ -126,13 +100,6 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if LOCKED in hint:
         hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
     return f"unknown parameter '{shortened(name)}'{hint}"
-
-
-def _overrides(node: Node) -> dict[str, Any]:
-    """Return the parameters on the command line and in parameter files, even if undeclared."""
-    # The public method would declare every name, even a mistyped name.
-    overrides: dict[str, Any] = node._parameter_overrides
-    return overrides
 
 
 def _declared(node: Node) -> list[str]:
@@ -178,22 +145,9 @@ def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     return checked, problems
 
 
-def _contradictions(checked: dict[str, Any]) -> list[str]:
-    """Describe contradictory values, and invalid values that a minimum cannot exclude."""
-    problems = []
+def _contradiction(checked: dict[str, Any]) -> list[str]:
     if checked.get('robot_description') and checked.get('robot_description_file'):
-        problems.append(
+        return [
             'parameters robot_description and robot_description_file are both set, expected one'
-        )
-    if 0.0 < checked.get('update_rate', 0.0) < 1.0:
-        problems.append(
-            f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
-        )
-    # The value -1 stands for the value in the URDF. Other negative numbers are invalid.
-    for name in ('damping', 'coulomb', 'velocity_limits'):
-        numbers = np.atleast_1d(checked.get(name, 0.0))
-        if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():
-            value = checked[name]
-            given = plain(list(value) if isinstance(value, tuple) else value)
-            problems.append(f"parameter '{name}' is {given}, expected -1 or at least 0")
-    return problems
+        ]
+    return []

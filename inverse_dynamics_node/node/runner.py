@@ -190,16 +190,11 @@ class LoopRunner:
         self.log.begin()
 
     def catch_up(self) -> None:
-        """Do the work of the timers."""
-        if self.configuration.period:
-            self._on_timer()
-        self._on_watch()
-
-    def step_if_late(self) -> None:
-        """Step the loop if the timer is late by more than half a period."""
+        """Do the overdue work of the timers; that of the loop is late after half a period."""
         now, period = self.now(), self.configuration.period
         if self.is_active and period and now > self._last_step + 1.5 * period:
             self.step(now)
+        self._on_watch()
 
     def _on_timer(self) -> None:
         if self.is_active:

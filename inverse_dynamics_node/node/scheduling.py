@@ -7,14 +7,26 @@ import contextlib
 import os
 import resource
 import threading
+from typing import NamedTuple
 
-from ..ros.diagnostics import Level, Part
+from .parameters import PRIORITY
 
 _HINT = (
     'to permit real-time priority, add "@realtime - rtprio 99" to /etc/security/limits.conf, join '
     'the group realtime and log in again, or start the container with --cap-add=SYS_NICE --ulimit '
     'rtprio=99; see doc/realtime.md'
 )
+
+
+class Scheduled(NamedTuple):
+    """The scheduling of the control loop, as reported by the kernel."""
+
+    policy: str
+    priority: int
+    problem: str
+    """Why the loop has no real-time priority; '' if it has."""
+    is_requested: bool
+    """Whether the user has asked for real-time priority."""
 
 
 class Scheduling:
@@ -30,17 +42,18 @@ class Scheduling:
     def __init__(self) -> None:
         self._loop = threading.get_native_id()
         self._others = set(_thread_ids()) - {self._loop}
-        self._priority = 0
+        self._priority, self._is_requested = 0, False
         self._problem = 'normal priority: the parameter thread_priority has not been applied'
 
-    def apply(self, priority: int, watchdog: int) -> tuple[bool, str]:
+    def apply(self, requested: int, watchdog: int) -> tuple[bool, str]:
         """
-        Set the SCHED_FIFO priority of the threads, from 1 to 99.
+        Set the SCHED_FIFO priority of the threads, from 1 to 99; 0 means the usual one.
 
         `watchdog` is the native id of the watchdog thread. The watchdog gets a higher priority
         than the loop (at most 99), because a busy loop might never sleep. Return whether the
-        priority is permitted, and one line for the log.
+        scheduling is as requested, and one line for the log.
         """
+        priority, self._is_requested = requested or PRIORITY, bool(requested)
         try:
             for tid in set(_thread_ids()) - self._others:
                 with contextlib.suppress(ProcessLookupError):  # the thread has just ended
@@ -52,7 +65,7 @@ class Scheduling:
             limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
             reason = f'not permitted (rtprio limit {limit})'
             self._problem = f'normal priority: SCHED_FIFO {priority} is {reason}'
-            return False, f'{self._problem}; {_HINT}'
+            return not requested, f'{self._problem}; {_HINT}'
         self._priority, self._problem = priority, ''
         return True, f'SCHED_FIFO priority {priority} for the control loop and the middleware'
 
@@ -67,14 +80,10 @@ class Scheduling:
             if self._priority:
                 _schedule(self._loop, self._priority)
 
-    def status(self) -> Part:
-        """Return the scheduling of the loop as reported by the kernel."""
+    def look(self) -> Scheduled:
+        """Return the scheduling of the loop."""
         priority = os.sched_getparam(self._loop).sched_priority
-        return Part(
-            Level.WARN if self._problem else Level.OK,
-            self._problem or 'real-time priority',
-            {'policy': _policy(self._loop), 'priority': str(priority)},
-        )
+        return Scheduled(_policy(self._loop), priority, self._problem, self._is_requested)
 
 
 def _thread_ids() -> list[int]:

@@ -16,6 +16,7 @@ from ..control.loop import ControlLoop
 from ..errors import shortened
 from ..report.robot_tables import model_report
 from ..robot.model import Floats
+from ..ros.private import answer_request
 from .ros_parameters import unknown_parameters
 from .runner import LoopRunner
 from .status_text import missing_inputs
@@ -76,15 +77,11 @@ def answer_requests(node: LifecycleNode) -> None:
     The executor finds the requests gone, and goes on.
     """
     for service in node.services:
-        if service.srv_type is ChangeState:
-            continue
-        with service.handle:
-            request, header = service.handle.service_take_request(service.srv_type.Request)
-        if request is not None:
-            service.send_response(service.callback(request, service.srv_type.Response()), header)
+        if service.srv_type is not ChangeState:
+            answer_request(service)
 
 
-def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
+def contain_errors(node: LifecycleNode, catch_up: Callable[[], None]) -> None:
     """
     Catch errors in the services and subscriptions that rclpy has created.
 
@@ -93,7 +90,7 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     forever for an answer.
 
     Call this function before the node creates its own services and subscriptions, because their
-    errors must not be hidden. `keep_up` is called after every request, because a request takes as
+    errors must not be hidden. `catch_up` is called after every request, because a request takes as
     long as several steps of the loop.
     """
     setters = {
@@ -106,14 +103,14 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     }
     for service in node.services:
         callback = setters.get(service.srv_type, service.callback)
-        service.callback = _contained(node, service.srv_name, callback, keep_up)
+        service.callback = _contained(node, service.srv_name, callback, catch_up)
     for subscription in node.subscriptions:
         name = subscription.topic_name
         subscription.callback = _contained(node, name, subscription.callback, lambda: None)
 
 
 def _contained(
-    node: LifecycleNode, name: str, callback: Callable[..., Any], keep_up: Callable[[], None]
+    node: LifecycleNode, name: str, callback: Callable[..., Any], catch_up: Callable[[], None]
 ) -> Callable[..., Any]:
     reported: set[str] = set()  # /clock may have a thousand messages per second
 
@@ -127,7 +124,7 @@ def _contained(
                 node.get_logger().error(f'{name}: message dropped: {text}')
             return type(response[0])() if response else None
         finally:
-            keep_up()
+            catch_up()
 
     return contained
 

@@ -10,6 +10,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from ..ros.diagnostics import write_status
 from ..ros.middleware import QUEUED
+from ..ros.private import lifecycle_state
 from .inputs import Inputs
 from .monitor import lasting_silence
 from .runner import LoopRunner
@@ -48,7 +49,6 @@ class StatusPublisher:
         runner, node = self._runner, self._node
         around = self._look_around()
         status = describe_node(runner.now(), runner.loop, around, runner.monitor)
-        status['scheduling'] = self._scheduling.status()
         runner.monitor.begin_report()
         if self._graph.is_discovered:
             runner.log.report_status(status, is_active=runner.is_active)
@@ -68,8 +68,7 @@ class StatusPublisher:
         self._silence = lasting_silence(self._silence, elapsed, is_silent=is_silent)
         joint_states, efforts, external = map(node.resolve_topic_name, _TOPICS)
         return Surroundings(
-            # The only public way to get the state is a service.
-            state=str(node._state_machine.current_state[1]),
+            state=lifecycle_state(node),
             is_active=self._runner.is_active,
             name=node.get_fully_qualified_name(),
             receivers=self._runner.outputs.receivers,
@@ -82,4 +81,5 @@ class StatusPublisher:
             controllers=self._runner.controllers.known,
             objection=self._runner.objection,
             clock=clock,
+            scheduled=self._scheduling.look(),
         )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..control.external_loads import IMU_TIMEOUT
 from ..control.joint_states import JointStateCollector
 from ..control.loop import ControlLoop, Phase, recovery_time, TOO_FAR_PHASES
 from ..control.settings import StalePolicy
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
 _MISALIGNED = 5.0  # [degrees]; larger than any mounting error
 _DELAY = 0.005  # [s]; typical delay from measurement to effort at 200 joint states per second
-_RECENT = 10.0  # [s]; a problem of the motion in a dry run is reported for this long
 # Controllers that only drivers with gravity compensation have, and the parameter files for them.
 _COMPENSATING = {
     'franka_robot_state_broadcaster': 'franka_ros2',
@@ -38,7 +36,12 @@ def activity(now: float, loop: ControlLoop) -> str:
     phase, settings = loop.phase, loop.settings
     doing = phase.value.partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
-        doing += f': {_reason_for_no_reference(loop)}'
+        reason = 'no reference'
+        if not loop.law.uses_reference:
+            reason = 'the reference is not used in mode gravity_compensation'
+        elif loop.reference is not None:
+            reason += f' for more than {settings.reference_timeout:g} s'
+        doing += f': {reason}'
     elif phase in TOO_FAR_PHASES:
         doing += (
             ': the reference starts too far away or jumps too far '
@@ -61,33 +64,23 @@ def similar_names(collector: JointStateCollector) -> list[str]:
 
 def _explain_names(collector: JointStateCollector) -> str:
     """Say which names arrived in place of those of the missing joints, or return ''."""
-    missing, names = collector.missing(), collector.foreign_names
-    similar = similar_names(collector)
+    missing, names = collector.missing(), [name for name in collector.foreign_names if name]
+    received, first = f' (received {listed(names, 4)}: ', missing[0]
     for name in names:
-        where, part = _difference(missing[0], name)
-        if part and all(_without(part, joint, where) in names for joint in missing):
-            return f" (received {listed(names, 4)}: without the {where} '{part}' of the URDF)"
-        where, part = _difference(name, missing[0])
-        if part and {_without(part, each, where) for each in names} >= set(missing):
-            return f" (received {listed(names, 4)}: with the {where} '{part}', unlike the URDF)"
+        before, found, after = first.partition(name)
+        if found and {before + each + after for each in names} >= set(missing):
+            return f'{received}without the {_affix(before, after)} of the URDF)'
+        before, found, after = name.partition(first)
+        if found and {before + joint + after for joint in missing} <= set(names):
+            return f'{received}with the {_affix(before, after)}, unlike the URDF)'
+    similar = similar_names(collector)
     if similar:
         return f' (received similar names: {", ".join(map(repr, similar))})'
     return f' (received other names: {listed(names, 4)})' if names else ''
 
 
-def _difference(longer: str, shorter: str) -> tuple[str, str]:
-    """Return the prefix or suffix by which one name is longer than the other, or ''."""
-    if longer.endswith(shorter):
-        return 'prefix', longer.removesuffix(shorter)
-    return 'suffix', longer.removeprefix(shorter) if longer.startswith(shorter) else ''
-
-
-def _without(part: str, name: str, where: str) -> str:
-    """Return the name without a prefix or suffix, or '' if it has none."""
-    has_part = name.startswith(part) if where == 'prefix' else name.endswith(part)
-    if not has_part:
-        return ''
-    return name.removeprefix(part) if where == 'prefix' else name.removesuffix(part)
+def _affix(before: str, after: str) -> str:
+    return f"prefix '{before}'" if before else f"suffix '{after}'"
 
 
 def missing_inputs(
@@ -134,14 +127,6 @@ def _consequence(loop: ControlLoop) -> str:
     return 'keeping the last efforts'
 
 
-def _reason_for_no_reference(loop: ControlLoop) -> str:
-    if not loop.law.uses_reference:
-        return 'the reference is not used in mode gravity_compensation'
-    if loop.reference is None:
-        return 'no reference'
-    return f'no reference for more than {loop.settings.reference_timeout:g} s'
-
-
 def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
@@ -151,28 +136,11 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     joints = ', '.join(loop.collector.stale(now, timeout))
     if joints:
         return f'no joint state of {joints} for more than {timeout:g} s'
-    return _recovery(loop)
+    return recovery(timeout)
 
 
-def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Report that IMU messages no longer arrive; return '' if they do or if none ever arrived."""
-    loads = loop.loads
-    if loads.imu_time == -math.inf or loads.is_base_known(now):
-        return ''
-    return f'the motion of the base is unknown: no message on imu for more than {IMU_TIMEOUT:g} s'
-
-
-def describe_lost_states(now: float, loop: ControlLoop) -> str:
-    """Describe a loss of joint states, or how it ends; return '' if they are not lost."""
-    stale = loop.collector.stale(now, loop.settings.state_timeout)
-    if stale:
-        return f'joint states are lost: {", ".join(stale)}'
-    return _recovery(loop) if loop.phase is Phase.STATE_LOST else ''
-
-
-def _recovery(loop: ControlLoop) -> str:
-    """Describe when efforts rise again after a loss of joint states."""
-    timeout = loop.settings.state_timeout
+def recovery(timeout: float) -> str:
+    """Describe when efforts rise again after a loss of joint states; `timeout` is in [s]."""
     return (
         'joint states were lost or contradictory; efforts rise again after joint states have '
         f'arrived for {recovery_time(timeout):g} s without a gap longer than state_timeout '
@@ -203,23 +171,6 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
         f"frame_id is '{frame}', but its orientation in the robot description differs from "
         f'imu_orientation by {angle:.0f} degrees'
     )
-
-
-def describe_late(loop: ControlLoop, now: float) -> list[str]:
-    """Describe uncommanded joints whose states are too old, and suggest remedies."""
-    return [
-        f"joint '{name}' (not commanded) was last reported {age:.1f} s ago and is assumed to be "
-        f'at rest at its last position; if this is normal, set locked_positions.{name}'
-        for name, age in loop.collector.late(now).items()
-    ]
-
-
-def describe_motion(now: float, loop: ControlLoop) -> str:
-    """Describe what would have stopped the arm if the commands had been sent, or return ''."""
-    text, time = loop.motion_problem
-    if not loop.dry_run.is_active or not 0.0 <= now - time <= _RECENT:
-        return ''
-    return f'the motion limits would stop the arm: {text}'
 
 
 def describe_unstable_gains(loop: ControlLoop) -> str:

@@ -10,8 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ..control.loop import COMPUTING_PHASES
 from ..errors import shortened
 
-NONE = 'none'
-"""The text of an empty list."""
+_NONE = 'none'  # the text of an empty list
 _MAX_LENGTH = 1000  # [characters]; names from messages and robot descriptions can be long
 
 
@@ -53,7 +52,7 @@ class NodeStatus(dict[str, Part]):
     def names(self, part: str, key: str) -> list[str]:
         """Return the items of a list."""
         text = self.text(part, key)
-        return text.split(', ') if text not in ('', NONE) else []
+        return text.split(', ') if text not in ('', _NONE) else []
 
     def numbers(self, part: str, key: str) -> list[float]:
         """Return a list of numbers."""
@@ -95,6 +94,17 @@ class NodeStatus(dict[str, Part]):
         """Return the parts that are not OK, with errors first."""
         found = [(-part.level, name) for name, part in self.items() if part.level is not Level.OK]
         return {name: self[name] for _, name in sorted(found)}
+
+
+def as_text(value: Any) -> str:
+    """Return the text of a value: a text, a number, a list, or None for an empty list."""
+    if isinstance(value, bool):
+        return 'yes' if value else 'no'
+    if isinstance(value, float):
+        return f'{value + 0.0:g}'  # the sum has no negative zero
+    if isinstance(value, str | int):
+        return str(value)
+    return ', '.join(map(as_text, () if value is None else value)) or _NONE
 
 
 def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:

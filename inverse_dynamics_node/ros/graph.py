@@ -11,7 +11,6 @@ from rclpy.lifecycle import LifecycleNode
 from ..errors import listed
 
 _DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
-_MAX_CHECKS = 10  # longest wait for the name of a subscriber, in checks
 _UNKNOWN = 'a node with an unknown name'
 _MOST_NAMES = 5  # largest number of node names in one message
 
@@ -58,8 +57,6 @@ class Graph:
         self._last_namesakes = 0
         self._last_time = -1
         self._last_advance = time.monotonic()
-        self._has_subscribers, self._reported = False, ''  # the topic that was reported last
-        self._checks_left = _MAX_CHECKS
         self.expect_discovery()
 
     def expect_discovery(self) -> None:
@@ -90,33 +87,8 @@ class Graph:
     def with_subscribers(self) -> str:
         """Return the name of the command topic and the nodes that subscribe to it."""
         commands = self._commands
-        self._has_subscribers = bool(commands.get_subscription_count())
-        subscribers = self._subscribers(commands) if self._has_subscribers else ()
-        self._reported = commands.topic_name
-        names = listed(subscribers, _MOST_NAMES) or 'no subscriber yet'
-        return f'{commands.topic_name} ({names})'
-
-    def subscriber_change(self) -> str:
-        """
-        Return a log message if the command topic got its first subscriber or lost its last one.
-
-        Return an empty string if nothing has changed since the last call of this method or of
-        `with_subscribers`.
-        """
-        commands = self._commands
-        has_subscribers = bool(commands.get_subscription_count())
-        if has_subscribers is self._has_subscribers:
-            self._checks_left = _MAX_CHECKS
-            return ''
-        names = self._subscribers(commands)
-        if has_subscribers and _UNKNOWN in names and self._checks_left:
-            self._checks_left -= 1  # the name arrives later than the subscription
-            return ''
-        self._has_subscribers = has_subscribers
-        if not has_subscribers:
-            return f'the last subscriber of {self._reported} is gone'
-        self._reported = commands.topic_name
-        return f'first subscriber of {self._reported}: {listed(names, _MOST_NAMES)}'
+        names = listed(self._subscribers(commands), _MOST_NAMES)
+        return f'{commands.topic_name} ({names or "no subscriber yet"})'
 
     def others(self) -> OtherNodes:
         """

@@ -27,6 +27,7 @@ from ..robot.urdf import load_urdf
 from .cdr import JointStateReader
 from .diagnostics import NodeStatus, read_status
 from .middleware import explained_start, LATCHED, QUEUED, start_ros
+from .private import waiting_messages
 
 _MOST_WARNINGS = 50
 _RATES = 3  # number of rate reports to keep; a report arrives every second
@@ -150,17 +151,17 @@ class Observer:
 
     def poll(self) -> bool:
         """Handle new messages; return True if a new robot description invalidates old samples."""
-        for message, _ in self._take(self._diagnostics, DiagnosticArray):
+        for message, _ in waiting_messages(self._diagnostics, DiagnosticArray):
             status = read_status(message, self.name)
             if status is not None:
                 self.status, self.status_time = status, time.monotonic()
                 rate = status.number('joint states', 'rate [Hz]')
                 if rate is not None:
                     self._state_rates.append(rate)
-        for message, _ in self._take(self._logs, Log):
+        for message, _ in waiting_messages(self._logs, Log):
             self._store_log(message)
         has_changed = False
-        for message, _ in self._take(self._descriptions, String):
+        for message, _ in waiting_messages(self._descriptions, String):
             has_changed = True
             self._load_robot(message.data)
         if self.status is not None:
@@ -202,18 +203,6 @@ class Observer:
     def _subscribe(self, kind: Any, topic: str, profile: QoSProfile, raw: bool = False) -> Any:
         # The callback is never called: no executor spins this node.
         return self._node.create_subscription(kind, topic, print, profile, raw=raw)
-
-    def _take(
-        self, subscription: Any, kind: Any, raw: bool = False
-    ) -> Iterator[tuple[Any, float]]:
-        """Yield each message in the queue with its arrival time [s]."""
-        while True:
-            with subscription.handle:
-                taken = subscription.handle.take_message(kind, raw)
-            if taken is None:
-                return
-            message, info = taken
-            yield message, info['received_timestamp'] * 1e-9
 
     def _diagnostics_topic(self) -> str:
         namespace, _, name = self.name.rpartition('/')
@@ -262,7 +251,9 @@ class Observer:
     def _read_joint_states(self) -> None:
         if 'joint_states' not in self._subscriptions:
             return
-        for data, received in self._take(self._subscriptions['joint_states'], JointState, True):
+        for data, received in waiting_messages(
+            self._subscriptions['joint_states'], JointState, raw=True
+        ):
             if self.on_joint_state:
                 self.on_joint_state(data, received)
             if self._index:
@@ -297,7 +288,7 @@ class Observer:
         for topic, target in self._efforts.items():
             if topic not in self._subscriptions:
                 continue
-            for data, _ in self._take(self._subscriptions[topic], JointState, True):
+            for data, _ in waiting_messages(self._subscriptions[topic], JointState, raw=True):
                 try:
                     arrays = self._reader.read(data)
                 except JointStateError:

@@ -22,6 +22,7 @@ from ..robot.model import Floats, RobotModel
 from .cdr import JointStateReader
 from .middleware import RELIABLE
 from .observer import Observer
+from .private import waiting_messages
 
 _PATIENCE = 10.0  # [s]; longest wait for an answer, and for joint states
 _REPETITION = 2.0  # [s]; a request or its answer may be lost
@@ -90,16 +91,11 @@ class Prober:
         """Return the joint states that have arrived since the last call."""
         self._observer.poll()
         efforts = []
-        while True:
-            with self._efforts.handle:
-                taken = self._efforts.handle.take_message(JointState, False)
-            if taken is None:
-                break
-            message, info = taken
+        for message, received in waiting_messages(self._efforts, JointState):
             values = dict(zip(message.name, message.effort, strict=False))
             if all(joint in values for joint in self._joints):
                 row = np.array([values[joint] for joint in self._joints])
-                efforts.append((info['received_timestamp'] * 1e-9, row))
+                efforts.append((received, row))
         found = []
         while self._states:
             now, q = self._states.popleft()

@@ -10,10 +10,10 @@ import time
 from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.node.parameters import PARAMETERS
-from inverse_dynamics_node.node.ros_parameters import _REMOVED
 import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from robot_files import ROOT, STANFORD
 from robot_side import DYNAMICS, FAST, MODEL, NAMES, PATIENT, Q, QD, QDD, ZERO
 from sensor_msgs.msg import JointState
@@ -158,7 +158,9 @@ def test_a_lost_state_leads_to_zeros_that_continue(run_node, robot, update_rate)
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 20, 'zeros that continue')
     assert not np.any(robot.commands[count:])
-    robot.wait_for_text(node, 'stopped, zeros sent: no joint state of ')
+    reason = f'no joint state of {", ".join(NAMES)} for more than 1 s'
+    robot.wait_for_text(node, f'ramping efforts down: {reason}')
+    robot.wait_for_text(node, f'stopped, zeros sent: {reason}')
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
 
@@ -279,13 +281,9 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
     ('parameters', 'words'),
     [
         ({'robot_description': f"'{BAD_URDF}'"}, "duplicate link name 'a'"),
-        ({'robot_description': 'arm.urdf'}, "is 'arm.urdf', expected the URDF as XML text; for a"),
         ({**FAST, 'robot_description': f"'{BAD_URDF}'"}, 'are both set'),
-        ({**FAST, 'joints': '[nose]'}, "joint 'nose' does not exist; joints are joint_1"),
         ({**FAST, 'use_sim_time': 'soon'}, "of type 'STRING', expecting type 'BOOL'"),
         ({**FAST, 'gravity': '[0.0, 0, -9.8]'}, 'Sequence should be of same type'),
-        ({**FAST, 'locked_positions.jiont_6': 0.2}, "lists 'jiont_6', expected only joints of"),
-        (dict.fromkeys(_REMOVED, 1.0), f"'{list(_REMOVED)[-1]}' was removed: "),
     ],
 )
 def test_bad_start_ends_with_one_clear_message(run_node, parameters, words):
@@ -296,33 +294,24 @@ def test_bad_start_ends_with_one_clear_message(run_node, parameters, words):
 
 
 def test_every_bad_parameter_has_a_line_of_its_own(run_node):
-    wrong = {'update_rate': -1.0, 'kp': 'x', 'kd': '.nan', 'stop_ramp': 1e3, 'mode': 'fast'}
-    wrong |= {'joints': '3', 'gravity': '[0.0, -9.8]', 'use_urdf_effort_limits': 1}
+    wrong = {'update_rate': -1.0, 'mode': 'fast', 'joints': '3', 'kp': '.nan'}
     wrong |= {f'locked_positions.{NAMES[5]}': 'x'}
     unknown = {'effort_limit': 30.0, 'locked_position.joint_6': 0.1}
-    unknown |= {'locked_positions': 0.3, 'payload_transition_time': 0.5, 'zebra': 1}
+    unknown |= {'locked_positions': 0.3, 'zebra': 1}
     node = run_node(**{**FAST, **wrong}, **unknown)
     assert node.wait() == 1
     output = [line for line in node.output.splitlines() if 'is deprecated' not in line]  # Kilted
-    lines = [line.split('[inverse_dynamics]: ')[1] for line in output]
-    per_joint = 'expected a finite number, or a list with one number for each commanded joint'
-    assert lines == [
+    assert [line.split('[inverse_dynamics]: ')[1] for line in output] == [
         "parameter 'joints' is 3, expected a list of names",
-        "parameter 'update_rate' is -1.0, expected 0 to 10000",
-        "parameter 'gravity' is [0.0, -9.8], expected three finite numbers, all with a decimal "
-        'point or all without',
+        "parameter 'update_rate' is -1.0, expected 0 or 1 to 10000",
         "parameter 'mode' is 'fast', expected one of inverse_dynamics, computed_torque, "
         'gravity_compensation, joint_impedance',
-        f"parameter 'kp' is 'x', {per_joint}",
-        f"parameter 'kd' is nan, {per_joint}",
-        "parameter 'use_urdf_effort_limits' is 1, expected true or false",
-        "parameter 'stop_ramp' is 1000.0, expected 0 to 60",
+        "parameter 'kp' is nan, expected a finite number, or a list with one number for each "
+        'commanded joint',
         f"parameter 'locked_positions.{NAMES[5]}' is 'x', expected a finite number",
         "unknown parameter 'effort_limit'; did you mean 'effort_limits'?",
         "unknown parameter 'locked_position.joint_6'; did you mean 'locked_positions.joint_6'?",
         "unknown parameter 'locked_positions'; did you mean 'locked_positions.<joint>'?",
-        "parameter 'payload_transition_time' was removed: a new payload is blended in over "
-        'start_ramp',
         "unknown parameter 'zebra'",
         'to ignore unknown parameters, for example in a file that several nodes share, set '
         'allow_unknown_parameters to true',
@@ -343,26 +332,28 @@ def test_unknown_parameters_can_be_allowed(run_node, robot):
     assert robot.get_parameter('allow_unknown_parameters') is True
 
 
-def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robot):
+def test_parameters_describe_their_ranges_and_refuse_other_values(run_node, robot):
     run_node(**PATIENT)
+    request = DescribeParameters.Request(names=list(PARAMETERS))
+    answer = robot.call(DescribeParameters, 'describe_parameters', request)
+    for each in answer.descriptors:
+        found = [
+            (r.from_value, r.to_value) for r in each.floating_point_range or each.integer_range
+        ]
+        expected = PARAMETERS[each.name].range
+        assert found == ([expected] if expected else []), each.name
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
     for name, value, words in (
         ('update_rate', 100.0, 'deactivate and clean up the node first'),
-        ('update_rate', 0.5, 'expected 0 or at least 1'),
         ('joints', None, "'joints' cannot be unset"),
         ('kp', [1.0, 2.0], 'kp has 2 numbers, expected one, or one for each of 6 joints'),
-        ('kp', -1, 'is -1, expected at least 0'),
         ('kp', [1.0, 1.0, 1.0, 1.0, 1.0, -1.0], '1.0, -1.0], expected at least 0'),
-        ('kp', [2e9] * 6, 'expected at most 1e+09'),
-        ('kp', '1e3', 'commanded joint; YAML reads 1e3 as text, write 1000.0'),
         ('effort_limit', 5.0, "unknown parameter 'effort_limit'; did you mean 'effort_limits'?"),
         ('locked_positions.hand', 0.0, "hand' can only be set when the process starts"),
         ('', 5.0, 'a parameter without a name'),
         ('drive_coupling', 1.0, "coupling of joint 'joint_1' is 1.0, expected 0"),
-        ('autostart', False, 'read-only'),
         ('robot_description_file', 'another.urdf', 'read-only'),
-        ('allow_unknown_parameters', True, 'read-only'),
     ):
         result = robot.set_parameter(name, value)
         assert not result.successful, (name, value)
@@ -370,21 +361,6 @@ def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robo
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 10, 'further commands')
     assert robot.commands[-1] == pytest.approx(list(HOLD))
-
-
-def test_parameters_describe_their_ranges(run_node, robot):
-    run_node()
-    request = DescribeParameters.Request(names=list(PARAMETERS))
-    answer = robot.call(DescribeParameters, 'describe_parameters', request)
-    ranges = {d.name: d.floating_point_range or d.integer_range for d in answer.descriptors}
-    for name, parameter in PARAMETERS.items():
-        found = [(r.from_value, r.to_value) for r in ranges[name]]
-        assert found == ([parameter.range] if parameter.range else []), name
-    for name in ('kp', 'kd', 'effort_limits', 'effort_rate_limits', 'armature', 'stop_ramp'):
-        assert ranges[name][0].from_value == 0.0, name
-    assert robot.set_parameter('kp', 5).successful  # an integer
-    assert robot.set_parameter('kp', [5.0, 6.0]).successful
-    assert not robot.set_parameter('kp', -1).successful
 
 
 def test_live_parameters_of_every_kind_apply_at_once(run_node, robot):
@@ -440,22 +416,6 @@ def test_the_robot_description_may_be_published_before_or_after_the_start(run_no
     robot.commands.clear()
     run_node(start_ramp=0.0, state_timeout=5.0)  # the description has been published already
     robot.wait_for_command(HOLD)
-
-
-def test_a_stop_that_launch_cuts_short_is_reported(run_node, robot):
-    node = run_node(**FAST, stop_damping=50.0)
-    robot.wait_for_text(node, 'stop_ramp plus the time for stop_damping is 20.2 s')
-    robot.wait_for_text(node, "robot 'stanford'")
-    for damping, ramp in ((0.0, 5.0), (0.0, 4.9)):
-        assert robot.set_parameter('stop_damping', damping).successful
-        assert robot.set_parameter('stop_ramp', ramp).successful
-        for transition in ('deactivate', 'cleanup', 'configure'):
-            assert robot.change_state(transition)
-        assert robot.change_state('activate')
-    robot.wait_until(lambda: node.output.count("robot 'stanford'") == 3, 'configured again')
-    words = 'stop_ramp is 5 s, but ros2 launch sends SIGTERM 5 s after SIGINT'
-    assert node.output.count(words) == 1
-    assert node.output.count('sigterm_timeout') == 2
 
 
 def test_lifecycle_by_hand(run_node, robot):
@@ -524,28 +484,52 @@ def test_topics_can_be_remapped_and_put_into_a_namespace(run_node, robot):
 
 
 def test_topics_are_those_of_the_documentation(run_node, robot):
+    """Names, types and quality of service, except for the depth, which no middleware tells."""
     node = run_node(**PATIENT)
     robot.wait_for_text(node, 'no command yet')
     robot.wait_until(lambda: 'inverse_dynamics' in robot.node.get_node_names(), 'discovery')
     of_rclpy = {'/parameter_events', '/rosout', '/inverse_dynamics/transition_event'}
     page = (ROOT / 'doc' / 'interface.md').read_text()
-    for title, list_topics in (
-        ('## Subscribed topics', robot.node.get_subscriber_names_and_types_by_node),
-        ('## Published topics', robot.node.get_publisher_names_and_types_by_node),
+    reads = robot.node
+    for title, list_topics, describe in (
+        (
+            '## Subscribed topics',
+            reads.get_subscriber_names_and_types_by_node,
+            reads.get_subscriptions_info_by_topic,
+        ),
+        (
+            '## Published topics',
+            reads.get_publisher_names_and_types_by_node,
+            reads.get_publishers_info_by_topic,
+        ),
     ):
         table = page.split(title)[1].split('\n## ')[0]
-        rows = re.findall(r'^\| `([\w~/]+)` \| (\w+)/(\w+) \|', table, re.M)
+        rows = re.findall(r'^\| `([\w~/]+)` \| (\w+)/(\w+) \| ([\w ,]+), \d+ \|', table, re.M)
         expected = {
             (
                 f'/{name}'.replace('/~', '/inverse_dynamics').replace('//', '/'),
                 f'{package}/msg/{kind}',
+                quality,
             )
-            for name, package, kind in rows
+            for name, package, kind, quality in rows
         }
         assert expected
 
-        def topics(list_topics=list_topics):
-            pairs = list_topics('inverse_dynamics', '/')
-            return {(name, types[0]) for name, types in pairs if name not in of_rclpy}
+        def topics(list_topics=list_topics, describe=describe):
+            names = {name for name, _ in list_topics('inverse_dynamics', '/')} - of_rclpy
+            return {
+                (name, each.topic_type, quality_of(each.qos_profile))
+                for name in names
+                for each in describe(name)
+                if each.node_name == 'inverse_dynamics'
+            }
 
         robot.wait_until(lambda topics=topics, rows=expected: topics() == rows, title)
+
+
+def quality_of(profile):
+    """Return the quality of service in the words of the documentation."""
+    is_reliable = profile.reliability is ReliabilityPolicy.RELIABLE
+    is_latched = profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    words = 'reliable' if is_reliable else 'best effort'
+    return f'{words}, transient local' if is_latched else words

@@ -88,20 +88,25 @@ def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(
     assert robot.set_parameter('thread_priority', 41).successful is False
 
 
-def test_without_permission_the_node_works_and_says_what_to_do(run_node, robot, wait_for_status):
-    node = run_node(prepare=forbid, **PATIENT)
+@pytest.mark.parametrize(
+    ('given', 'level', 'words'),
+    [({}, 'INFO', 'SCHED_FIFO 50 is not'), ({'thread_priority': 40}, 'WARN', 'SCHED_FIFO 40 is')],
+    ids=['default', 'given'],
+)
+def test_without_permission_the_node_works_and_says_what_to_do(
+    run_node, robot, wait_for_status, given, level, words
+):
+    node = run_node(prepare=forbid, **PATIENT, **given)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
-    wait_for_status('scheduling', DiagnosticStatus.WARN, 'normal priority: SCHED_FIFO 50 is not')
+    expected = DiagnosticStatus.WARN if given else DiagnosticStatus.OK
+    wait_for_status('scheduling', expected, f'normal priority: {words}')
     pid = node.process.pid
     assert threads_of(pid)[pid][1] == os.SCHED_OTHER
     node.interrupt(signal.SIGTERM)
     assert robot.wait_for_end(node) == 0
     lines = [line for line in node.output.splitlines() if 'SCHED_FIFO' in line]
     assert len(lines) == 1
-    for words in (
-        'normal priority: SCHED_FIFO 50 is not permitted (rtprio limit 0)',
-        '@realtime - rtprio 99',
-        '--cap-add=SYS_NICE',
-    ):
-        assert words in lines[0]
+    assert f'[{level}]' in lines[0]
+    for text in (words, 'permitted (rtprio limit 0)', '@realtime - rtprio 99', 'SYS_NICE'):
+        assert text in lines[0]

@@ -49,6 +49,17 @@ def test_the_log_prints_what_differs_from_the_last_status(lines):
         assert new() == expected
 
 
+def test_three_different_reports_of_a_topic_are_logged_within_two_seconds(lines):
+    log, new = lines
+    for text in ('mass is -2.0', 'mass is -2.0', 'mass is inf', 'mass is nan', 'mass is -1.0'):
+        log.report_message('~/payload', text)
+    log.report_message('imu', 'mass is -1.0', is_problem=False)
+    assert new() == [
+        *(('WARNING', f'~/payload: mass is {mass}') for mass in ('-2.0', 'inf', 'nan')),
+        ('INFO', 'imu: mass is -1.0'),
+    ]
+
+
 def test_what_is_logged_otherwise_is_not_logged_from_the_status(lines):
     log, new = lines
     for name in ('messages', 'reference', 'scheduling', 'model'):

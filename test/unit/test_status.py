@@ -20,6 +20,7 @@ pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Time
 from inverse_dynamics_node.node.monitor import lasting_silence, Monitor
+from inverse_dynamics_node.node.scheduling import Scheduled
 from inverse_dynamics_node.node.status import describe_node, Surroundings
 from inverse_dynamics_node.ros.controllers import Controller
 from inverse_dynamics_node.ros.diagnostics import (
@@ -56,6 +57,7 @@ FINE = Surroundings(
     controllers=[],
     objection='',
     clock=None,
+    scheduled=Scheduled('SCHED_FIFO', 50, '', is_requested=False),
 )
 CLOSED = Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE
 RISING = 'efforts rise again after joint states have arrived for 0.2 s without a gap longer than '
@@ -66,6 +68,29 @@ NO_DAMPING = 'joints reported without velocity have no damping in '
 NOT_SOLVED = 'no finite efforts for this joint state and reference'
 NO_CLOCK = 'use_sim_time is set, but nothing publishes /clock'
 OSCILLATING = 'shoulder may oscillate: with a delay of 5 ms, kd should be at most 2e+02'
+SET_ORDER = 'than that of the node; set the parameter joints to [joint_3, joint_2, joint_1]'
+SET_TWO = (
+    '/fec expects 2 efforts, but the node commands 3; set the parameter joints to '
+    '[joint_1, joint_2]'
+)
+SET_OTHERS = (
+    '/fec expects efforts for other joints than the node commands; set the parameter joints to '
+    '[joint_1, joint_2, joint_6]'
+)
+NO_JOINT = (
+    "/fec expects 4 efforts, but the node commands 3; finger: no joint of robot 'stanford' that "
+    'the node can command'
+)
+NO_EFFORTS = (
+    "/fec takes the commands as 'position' of the joints, expected effort: set its parameter "
+    'interface_name to effort'
+)
+COMPENSATES = (
+    '/ns/franka_robot_state_broadcaster belongs to a driver that compensates gravity itself, but '
+    'include_gravity is true, so the arm would get gravity twice: use the settings in '
+    'config/robots/franka_ros2.yaml'
+)
+TURNED = load_urdf(ROOT / 'test/robots/seven_dof.urdf').joint_names[2]
 DEGREES = [0.0, 57.3, 0.5, 0.0, 4.0, 0.0]
 IN_DEGREES = (
     'joint_2 is at 57.3 rad, outside its limits -1.745 to 1.745 (in degrees?); '
@@ -195,9 +220,37 @@ def with_imu(now, *, has_message=True):
     return node.step(now)
 
 
+def with_controller(joints, interface=''):
+    """Return an arm with three commanded joints, and a controller that takes the commands."""
+    controller = Controller('/fec', tuple(joints), interface, is_late=False)
+    node = Node(ARM, NAMES[:3]).amid(controllers=[controller])
+    return node.amid(objection=describe_controllers(node.loop, [controller]))
+
+
+def beside(driver, *, include_gravity=True):
+    others = FINE.others._replace(names=('/arm', f'/ns/{driver}'))
+    node = Node().amid(others=others)
+    node.loop.loads.include(gravity=include_gravity)
+    return node
+
+
+def turned():
+    """Return an arm whose third joint is a turn away from its reference."""
+    arm = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+    q, zeros = np.full(7, 0.3), np.zeros(7)
+    node = Node(arm, mode=Mode.COMPUTED_TORQUE).receive(1.0, q, zeros, arm.joint_names)
+    node.loop.reference = Reference(zeros, zeros, 1.0, q + 2.0 * math.pi * np.eye(7)[2], zeros)
+    return node.step(1.0)
+
+
 def warned(count):
     warnings = tuple(ModelWarning(f'text {k}', 'hint') for k in range(count))
     return Node(dataclasses.replace(ROBOT, warnings=warnings))
+
+
+def at_normal_priority(*, is_requested):
+    problem = 'normal priority: not permitted'
+    return fresh().amid(scheduled=Scheduled('SCHED_OTHER', 0, problem, is_requested))
 
 
 def outdated():
@@ -260,6 +313,17 @@ CONDITIONS = {
         (lambda: amid_others(rivals='/a').dry(), WARN, '/c is also published by /a'),
         (lambda: inactive(amid_others(namesakes=1)), ERROR, 'another node has the name /arm'),
         (lambda: amid_others(namesakes=2), ERROR, '2 other nodes have the name /arm'),
+        (lambda: with_controller(NAMES[:3], 'effort'), OK, ''),
+        (lambda: with_controller(NAMES[:3]), OK, ''),
+        (lambda: with_controller(NAMES[2::-1]), ERROR, f'in another order {SET_ORDER}'),
+        (lambda: with_controller(NAMES[:2]), ERROR, SET_TWO),
+        (lambda: with_controller((*NAMES[:2], NAMES[5])), ERROR, SET_OTHERS),
+        (lambda: with_controller((*NAMES[:3], 'finger')), ERROR, NO_JOINT),
+        (lambda: with_controller(NAMES[:3], 'position'), ERROR, NO_EFFORTS),
+        (lambda: beside('franka_robot_state_broadcaster'), WARN, COMPENSATES),
+        (lambda: beside('io_and_status_controller'), WARN, 'config/robots/ur.yaml'),
+        (lambda: beside('io_and_status_controller', include_gravity=False), OK, ''),
+        (lambda: beside('joint_state_broadcaster'), OK, ''),
     ],
     'clock': [
         (lambda: amid_clock(0.0, 0.5, 0), OK, 'no message on /clock yet'),
@@ -305,6 +369,7 @@ CONDITIONS = {
         (lambda: amid_others(subscribers='/b').amid(receivers=0), WARN, NO_SUBSCRIBERS),
         (lambda: with_cuts(SECOND, ~SECOND), WARN, 'effort cut to its limit: elbow, shoulder'),
         (lambda: fresh(mode=CLOSED[0], kd=1e4), WARN, OSCILLATING),
+        (turned, OK, f'rad or m); whole turns away: {TURNED}'),
     ],
     'model': [
         (fresh, OK, f"robot '{ROBOT.name}'"),
@@ -314,6 +379,11 @@ CONDITIONS = {
         (lambda: warned(1), WARN, '1 warning about the robot description'),
         (lambda: warned(2), WARN, '2 warnings about the robot description'),
         (outdated, WARN, 'another robot description has arrived'),
+    ],
+    'scheduling': [
+        (fresh, OK, 'real-time priority'),
+        (lambda: at_normal_priority(is_requested=False), OK, 'normal priority: not permitted'),
+        (lambda: at_normal_priority(is_requested=True), WARN, 'normal priority: not permitted'),
     ],
 }
 
@@ -391,13 +461,14 @@ def test_joints_that_a_spring_pushes_back_are_named():
         assert values['pushed back from position limits'] == names
 
 
-def test_without_a_robot_there_are_three_parts():
+def test_without_a_robot_there_are_four_parts():
     around = FINE._replace(is_active=False, state='unconfigured')
     status = describe_node(0.0, None, around, Monitor())
     assert [(name, part.level) for name, part in status.items()] == [
         ('loop', OK),
         ('messages', OK),
         ('other nodes', OK),
+        ('scheduling', OK),
     ]
     assert not {'mode', 'phase', 'dry run', 'gain'} & status['loop'].values.keys()
 
@@ -468,6 +539,7 @@ VALUES = {
         'other publishers of the commands': '/rival',
         'other nodes with this name': '3',
     },
+    'scheduling': {'policy': 'SCHED_FIFO', 'priority': '50'},
 }
 
 
@@ -486,6 +558,8 @@ def test_values_of_single_conditions():
     assert fresh().status()['model'].values['gravity [m/s^2]'] == '0, 0, -9.80665'
     assert fresh().status()['model'].values['payload'] == 'none'
     assert fresh().dry().status()['loop'].values['dry run'] == 'yes'
+    values = with_controller(NAMES[:2]).status()['other nodes'].values
+    assert values['joints of the controllers'] == '/fec: joint_1, joint_2'
 
 
 # What `watch` reads
@@ -565,74 +639,3 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
                 found = describe_imu_frame(loop, name, turned)
                 assert words in found
                 assert bool(found) is bool(words)
-
-
-@pytest.mark.parametrize(
-    ('joints', 'interface', 'words'),
-    [
-        (NAMES[:3], 'effort', ''),
-        (NAMES[:3], '', ''),
-        (
-            NAMES[2::-1],
-            'effort',
-            '/fec expects the efforts in another order than that of the node; set the parameter '
-            'joints to [joint_3, joint_2, joint_1]',
-        ),
-        (
-            NAMES[:2],
-            '',
-            '/fec expects 2 efforts, but the node commands 3; set the parameter joints to '
-            '[joint_1, joint_2]',
-        ),
-        (
-            (*NAMES[:2], NAMES[5]),
-            '',
-            '/fec expects efforts for other joints than the node commands; set the parameter '
-            'joints to [joint_1, joint_2, joint_6]',
-        ),
-        (
-            (*NAMES[:3], 'finger'),
-            '',
-            '/fec expects 4 efforts, but the node commands 3; finger: no joint of robot '
-            "'stanford' that the node can command",
-        ),
-        (
-            NAMES[:3],
-            'position',
-            "/fec takes the commands as 'position' of the joints, expected effort: set its "
-            'parameter interface_name to effort',
-        ),
-    ],
-)
-def test_controllers_with_other_joints_are_described(joints, interface, words):
-    loop = ControlLoop(ARM, NAMES[:3])
-    controller = Controller('/fec', tuple(joints), interface, is_late=False)
-    assert describe_controllers(loop, [controller]) == words
-    node = Node(ARM, NAMES[:3]).amid(controllers=[controller], objection=words)
-    status = node.status()['other nodes']
-    assert status.level is (ERROR if words else OK)
-    assert words in status.message
-    assert status.values['joints of the controllers'] == f'/fec: {", ".join(joints)}'
-
-
-def test_a_driver_that_compensates_gravity_itself_is_named():
-    others = FINE.others._replace(names=('/arm', '/ns/franka_robot_state_broadcaster'))
-    node = Node().amid(others=others)
-    status = node.status()['other nodes']
-    assert status.level is WARN
-    words = '/ns/franka_robot_state_broadcaster belongs to a driver that compensates gravity'
-    assert words in status.message
-    assert 'config/robots/franka_ros2.yaml' in status.message
-    node.loop.loads.include(gravity=False)
-    assert node.status()['other nodes'].level is OK
-
-
-def test_a_joint_that_is_whole_turns_away_from_its_reference_is_named():
-    arm = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
-    q, zeros = np.full(7, 0.3), np.zeros(7)
-    node = Node(arm, mode=Mode.COMPUTED_TORQUE)
-    node.receive(1.0, q, zeros, arm.joint_names)
-    turned = q + 2.0 * math.pi * np.eye(7)[2]
-    node.loop.reference = Reference(zeros, zeros, 1.0, turned, zeros)
-    message = node.step(1.0).status()['efforts'].message
-    assert message.endswith(f'; whole turns away: {arm.joint_names[2]}')
