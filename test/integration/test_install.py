@@ -71,46 +71,36 @@ def shared_memory_of_a_node(command, folder, environment):
 @pytest.mark.parametrize(
     'options',
     [
-        pytest.param([], id='copy'),
-        pytest.param(['--symlink-install'], id='symlink', marks=pytest.mark.long),
+        pytest.param('', id='copy'),
+        pytest.param(' --symlink-install', id='symlink', marks=pytest.mark.long),
     ],
 )
-def test_colcon_build_starts(tmp_path, domain_id, options):
-    copy_sources(tmp_path / 'src' / 'inverse_dynamics_node')
-    path = f'{Path(sys.executable).parent}:{os.environ["PATH"]}'
-    environment = {**os.environ, 'PATH': path, 'ROS_DOMAIN_ID': str(domain_id)}
-    run = runner(tmp_path, environment)
-    built = run(COLCON, 'build', *options)
-    assert built.returncode == 0, built.stderr
-    # Without shared memory, local_udp.xml is installed.
-    assert shared_memory_of_a_node(['sh', '-c', START], tmp_path, environment) == []
-    command = '. install/setup.sh; install/inverse_dynamics_node/lib/*/inverse_dynamics_node '
-    version = run('sh', '-c', f'{command} --version')
-    declared = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
-    assert version.stdout == f'inverse_dynamics_node {declared}\n', version.stderr
-
-
-@pytest.mark.skipif(not COLCON.exists(), reason='colcon is not installed')
-def test_documented_build_puts_the_command_on_the_path(tmp_path):
+def test_documented_build_starts_and_puts_the_command_on_the_path(tmp_path, domain_id, options):
     """The second line of the README, with ROS from the package index in place of rosdep."""
     _, build = README.split('```sh\ncd ~/ros2_ws && ')[1].split('```')[0].splitlines()
-    assert build.endswith(' && source install/setup.bash')
+    build, source = build.split(' && source ')
+    assert source == 'install/setup.bash'
     copy_sources(tmp_path / 'src' / 'inverse_dynamics_node')
     environment = {**os.environ, 'PATH': f'{COLCON.parent}:{os.environ["PATH"]}'}
+    environment['ROS_DOMAIN_ID'] = str(domain_id)
     page = (ROOT / 'doc' / 'first_hour.md').read_text()
     terminal = page.split('# needs a colcon build\n')[1].split('```')[0]
     lines = [
-        build,
+        f'{build}{options} && source {source}',
         terminal.replace('~/ros2_ws', '.'),
         'inverse_dynamics --version && ls examples config',
         'type -p inverse_dynamics inverse_dynamics_node',
+        f'{tmp_path}/install/inverse_dynamics_node/lib/*/inverse_dynamics_node --version',
     ]
     result = runner(tmp_path, environment)('bash', '-e', '-c', '\n'.join(lines))
     assert result.returncode == 0, result.stderr
-    assert 'inverse_dynamics 0.1.0\n' in result.stdout
-    assert {'follow_trajectory.py', 'stanford.urdf'} <= {*result.stdout.split()}
+    declared = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
     for name in ('inverse_dynamics', 'inverse_dynamics_node'):
         assert f'{tmp_path}/install/inverse_dynamics_node/bin/{name}\n' in result.stdout
+        assert f'{name} {declared}\n' in result.stdout
+    assert {'follow_trajectory.py', 'stanford.urdf'} <= {*result.stdout.split()}
+    # Without shared memory, local_udp.xml is installed.
+    assert shared_memory_of_a_node(['sh', '-c', START], tmp_path, environment) == []
 
 
 @pytest.fixture(scope='module')

@@ -6,18 +6,11 @@ from pathlib import Path
 import subprocess
 import sys
 
-from inverse_dynamics_node.ros import middleware
-from inverse_dynamics_node.ros.middleware import LOCAL_PROFILE, udp_settings
 from node_process import shared_memory_of
 import numpy as np
 import pytest
 from robot_side import HOLD, NAMES, PATIENT, Q
 
-UDP = {'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}
-PROFILE = {
-    'FASTRTPS_DEFAULT_PROFILES_FILE': LOCAL_PROFILE,
-    'FASTDDS_DEFAULT_PROFILES_FILE': LOCAL_PROFILE,
-}
 LOCAL = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
@@ -47,13 +40,13 @@ def commanding(run_node, robot):
 
 
 # A new subscriber could otherwise stop the commands for 0.33 s.
-def test_a_node_that_commands_a_robot_uses_no_shared_memory(commanding):
+def test_a_node_that_commands_a_robot_uses_neither_shared_memory_nor_multicast(
+    commanding, domain_id
+):
     assert shared_memory_of(os.getpid())  # the robot's side has the default transports
-    assert shared_memory_of(commanding()) == []
-
-
-def test_a_node_does_not_listen_to_multicast(commanding, domain_id):
-    ports = udp_ports_of(commanding())
+    pid = commanding()
+    assert shared_memory_of(pid) == []
+    ports = udp_ports_of(pid)
     multicast = 7400 + 250 * domain_id
     assert ports
     assert multicast not in ports
@@ -79,45 +72,6 @@ def test_watch_uses_no_shared_memory(commanding, run_program, robot):
         os.set_blocking(lines.fileno(), False)
         robot.wait_until(lines.buffer.readline, 'a line of watch')
         assert shared_memory_of(process.pid) == []
-
-
-@pytest.mark.parametrize(
-    ('environment', 'expected'),
-    [
-        ({}, UDP),
-        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}, UDP),
-        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', 'ROS_STATIC_PEERS': '10.0.0.2'}, UDP),
-        (LOCAL, PROFILE),
-        ({'ROS_LOCALHOST_ONLY': '1'}, PROFILE),
-        ({'ROS_LOCALHOST_ONLY': '0'}, UDP),
-        ({**LOCAL, 'ROS_STATIC_PEERS': '10.0.0.2'}, {}),
-        ({'ROS_LOCALHOST_ONLY': '1', 'ROS_STATIC_PEERS': '10.0.0.2'}, PROFILE),
-        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'localhost'}, PROFILE),
-        (UDP, UDP),
-        ({**LOCAL, **UDP}, PROFILE),
-        ({**LOCAL, **PROFILE}, PROFILE),
-        ({**LOCAL, **dict.fromkeys(PROFILE, '')}, PROFILE),
-        ({**LOCAL, 'FASTDDS_DEFAULT_PROFILES_FILE': 'mine.xml'}, {}),
-        ({**LOCAL, 'FASTRTPS_DEFAULT_PROFILES_FILE': 'mine.xml'}, {}),
-        ({**LOCAL, 'FASTDDS_BUILTIN_TRANSPORTS': 'LARGE_DATA'}, {}),
-        ({'FASTDDS_BUILTIN_TRANSPORTS': 'SHM'}, {}),
-    ],
-)
-def test_settings(environment, expected, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert udp_settings('rmw_fastrtps_cpp', environment) == expected
-    assert udp_settings('rmw_cyclonedds_cpp', environment) == {}
-
-
-def test_a_profile_in_the_current_folder_is_respected(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path('DEFAULT_FASTRTPS_PROFILES.xml').write_text('<profiles/>')
-    assert udp_settings('rmw_fastrtps_cpp', LOCAL) == {}
-
-
-def test_the_range_is_kept_if_the_profile_is_missing(monkeypatch):
-    monkeypatch.setattr(middleware, 'LOCAL_PROFILE', '/no/such/file.xml')
-    assert udp_settings('rmw_fastrtps_cpp', LOCAL) == {}
 
 
 def test_other_programs_inherit_the_range_of_the_user(domain_id):

