@@ -16,6 +16,24 @@ from .parameter_types import INTEGER, Parameter
 from .parameters import Configuration, LOCKED, LOCKED_POSITION, PARAMETERS
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
+_REMOVED = {
+    'max_position_jump': 'set max_tracking_error, which also limits how far the arm falls behind',
+    'allow_description_file_changes': 'robot_description_file is only read at the start',
+    'cpu_affinity': 'start the node with a launch prefix, such as taskset --cpu-list 2',
+    'effort_offset': 'correct a constant offset in the driver',
+    'executor': 'the node always uses the EventsExecutor',
+    'external_efforts_cutoff': '~/external_efforts are filtered at 10 Hz',
+    'imu_filter_cutoff': 'the motion of the base is filtered at 20 Hz',
+    'imu_timeout': 'the motion of the base counts as lost after 0.2 s',
+    'load_ramp': 'loads are blended in over start_ramp',
+    'lock_memory': 'on a robot, switch swap off (swapoff -a)',
+    'on_missing_inertial': 'the node always warns',
+    'payload_transition_time': 'a new payload is blended in over start_ramp',
+    'stop_timeout': 'a stop is damped for at most 20 s',
+    'uncommanded_state_timeout': 'a joint that is not commanded counts as late after 1 s',
+    'sqrt_damping': 'use damping and coulomb, which identify fits instead',
+}
+"""Parameters of earlier versions, and what to do instead."""
 
 
 def declare_parameters(node: Node) -> Configuration:
@@ -92,6 +110,8 @@ def unknown_overrides(node: Node) -> list[str]:
 def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if not name:
         return 'a parameter without a name'
+    if name in _REMOVED:
+        return f"parameter '{name}' was removed: {_REMOVED[name]}"
     head, _, tail = name.partition('.')
     if tail and head in (LOCKED, _QOS):
         return f"parameter '{shortened(name)}' can only be set when the process starts"

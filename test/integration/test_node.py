@@ -10,6 +10,7 @@ import time
 from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.node.parameters import PARAMETERS
+from inverse_dynamics_node.node.ros_parameters import _REMOVED
 import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
@@ -284,6 +285,7 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
         ({**FAST, 'robot_description': f"'{BAD_URDF}'"}, 'are both set'),
         ({**FAST, 'use_sim_time': 'soon'}, "of type 'STRING', expecting type 'BOOL'"),
         ({**FAST, 'gravity': '[0.0, 0, -9.8]'}, 'Sequence should be of same type'),
+        (dict.fromkeys(_REMOVED, 1.0), f"'{list(_REMOVED)[-1]}' was removed: "),
     ],
 )
 def test_bad_start_ends_with_one_clear_message(run_node, parameters, words):

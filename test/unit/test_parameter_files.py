@@ -8,6 +8,7 @@ from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.control.settings import setting, StalePolicy
 from inverse_dynamics_node.node.configure import check_configuration, launch_warning, make_loop
 from inverse_dynamics_node.node.parameters import LOCKED_POSITION, PARAMETERS
+from inverse_dynamics_node.node.ros_parameters import _REMOVED
 import numpy as np
 from parameter_values import configured
 import pytest
@@ -175,3 +176,9 @@ def test_the_unit_follows_the_first_sentence():
     description = PARAMETERS['effort_limits'].description
     assert description.startswith('Effort limits in addition to those of the URDF [N m, N]. 0:')
     assert re.search(r'reports it \[rad, m\]\. ', LOCKED_POSITION.description)
+
+
+@pytest.mark.parametrize('name', _REMOVED)
+def test_the_changelog_names_each_removed_parameter(name):
+    assert name not in PARAMETERS
+    assert f'``{name}``' in (ROOT / 'CHANGELOG.rst').read_text().partition('0.1.0, the')[0]
