@@ -209,6 +209,7 @@ def node_values(observer: Observer, agreement: Agreement) -> dict[str, Any]:
         'joint_state_timeout': status.number('joint states', 'timeout [s]'),
         'reference_age': status.number('reference', 'age [s]'),
         'reference_timeout': status.number('reference', 'timeout [s]'),
+        'trajectory': status.trajectory(),
         'problems': [
             {'part': name, 'level': part.level.name, 'message': part.message}
             for name, part in status.problems().items()

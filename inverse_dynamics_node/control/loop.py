@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import enum
 import math
 from typing import NamedTuple
 
@@ -11,17 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
+from ..errors import TrajectoryError
 from ..robot.model import Booleans, Floats, RobotModel
 from .contact import ExternalEffortEstimator
 from .external_loads import ExternalLoads
+from .following import Following, JointLimits, Plan
 from .joint_states import Events, JointStateCollector, State
 from .laws import joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
 from .settings import MeasuredGravity, Settings, StalePolicy
 from .shaping import CommandShaper, DriveReference, DryRun
 from .stop_damping import StopDamping
+from .supervisor import COMPUTING_PHASES, Phase, Supervisor
 
-_LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
 # Settings that decide which inputs are used, or how; other settings act on the result.
 _OF_INPUTS = (
     'mode',
@@ -35,28 +36,6 @@ _OF_INPUTS = (
     'limit_stiffness',
 )
 _USUAL_DELAY = 0.01  # [s]; of joint states; a shorter delay is not compared with the gains
-_TOLERATED_DROP = 0.05  # a loss with a smaller drop of the gain ends with the next state
-
-
-class Phase(enum.Enum):
-    """What the control loop does."""
-
-    WAITING = 'waiting for the first complete joint state'
-    RUNNING = 'following the reference'
-    FLOATING = 'floating: no reference'
-    TOO_FAR = 'floating: the reference is too far away'
-    HOLDING = 'holding position: no reference'
-    HOLDING_TOO_FAR = 'holding position: the reference is too far away'
-    STATE_LOST = 'joint states lost'
-    NO_SOLUTION = 'no finite efforts for this joint state and reference'
-    STOPPED = 'stopped'
-    LIMIT_STOP = 'stopped by a motion limit'
-
-
-TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
-"""Phases in which the reference is too far away from the joint positions."""
-COMPUTING_PHASES = (Phase.RUNNING, Phase.FLOATING, Phase.HOLDING, *TOO_FAR_PHASES)
-"""Phases in which efforts are computed from a fresh state."""
 
 
 class Command(NamedTuple):
@@ -74,150 +53,6 @@ class Command(NamedTuple):
     """Why the stop damping has ended in this step; '' if it has not."""
     lost_velocities: tuple[str, ...] = ()
     """Joints whose velocities are no longer reported since the last step."""
-
-
-class Supervisor:
-    """
-    Decides the phase of each command, and stops an arm that falls behind its reference.
-
-    No efforts are computed before the first complete joint state, while joint states are lost,
-    during a stop, and after a limit stop. Joint states are considered lost while the latest state
-    is too old, and for a recovery time afterwards. Without the recovery time, intermittent states
-    would shake the arm. A loss that ends before the efforts have fallen noticeably needs no
-    recovery time.
-
-    ``joints`` and ``units`` are the names of the m commanded joints and the units of their
-    positions.
-
-    """
-
-    def __init__(self, joints: Sequence[str], units: Sequence[str]) -> None:
-        self._joints, self._units = joints, units
-        self.phase = Phase.WAITING
-        """Phase of the last command."""
-        self.is_stopping = False
-        """Whether a stop has been requested; the efforts may still be ramping down."""
-        self.limit_stop = ''
-        """Why the motion limits have stopped the arm; '' if they have not."""
-        self.is_behind = ''
-        """How far the arm is behind the reference that it was near; '' if it is not."""
-        self._is_near = False  # whether the arm has been near the reference that it follows
-        self._lost_gain = 0.0  # gain at which the states were lost
-        self._tolerated_drop = _TOLERATED_DROP  # remaining drop, for losses in quick succession
-        self._fresh_since = math.inf  # arrival time of the first state after the last gap
-
-    def apply(self, settings: Settings, law: Law) -> None:
-        """Change the settings and the law."""
-        self._settings, self._law = settings, law
-
-    def stop(self) -> None:
-        """Stop until `resume`."""
-        self.is_stopping = True
-
-    def stop_at_limit(self, reason: str) -> None:
-        """Begin a limit stop, which lasts until `resume`; ``reason`` is a sentence."""
-        self.limit_stop = reason
-
-    def resume(self) -> bool:
-        """End a stop and a limit stop; return whether there was one."""
-        was_stopped = self.is_stopping or bool(self.limit_stop)
-        self.is_stopping, self.limit_stop = False, ''
-        return was_stopped
-
-    def decide(
-        self,
-        now: float,
-        state: State | None,
-        reference: Reference | None,
-        gain: float,
-        *,
-        is_live: bool = True,
-    ) -> Phase:
-        """
-        Decide the phase of the next command.
-
-        ``now`` is the time [s], and ``gain`` the factor for the computed efforts, from 0 to 1.
-        Unless ``is_live``, an arm that falls behind its reference is not stopped.
-
-        """
-        was_near, self._is_near, self.is_behind = self._is_near, False, ''
-        timeout = self._settings.state_timeout
-        if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
-            self.phase = Phase.WAITING
-        elif self.limit_stop:
-            self.phase = Phase.LIMIT_STOP
-        elif self.is_stopping:
-            self.phase = Phase.STOPPED
-        elif self._is_lost(now, state, timeout, gain):
-            self.phase = Phase.STATE_LOST
-        else:
-            assert state is not None
-            self.phase = self._judge(now, state, reference, was_near)
-            if self.is_behind and is_live:
-                self.stop_at_limit(self.is_behind)
-                self.phase = Phase.LIMIT_STOP
-        return self.phase
-
-    def _judge(
-        self, now: float, state: State, reference: Reference | None, was_near: bool
-    ) -> Phase:
-        """Decide whether the reference is followed, and whether the arm has fallen behind it."""
-        settings, law = self._settings, self._law
-        without_reference = Phase.HOLDING if law.holds else Phase.FLOATING
-        if reference is None or not law.uses_reference:
-            return without_reference
-        # The age may be negative after the clock was set back.
-        if not 0.0 <= now - reference.time <= (settings.reference_timeout or math.inf):
-            return without_reference
-        limit, positions = settings.max_tracking_error, reference.positions
-        if not limit or not law.is_closed or positions is None:
-            return Phase.RUNNING
-        behind = np.abs(law.distance(law.measured(state), positions))
-        ahead = behind
-        if law.equilibrium is not None:
-            ahead = np.abs(law.distance(law.equilibrium, positions))
-        k = int(np.argmax(behind))
-        is_near = bool(behind[k] <= limit)
-        if ahead.max() > limit or not (is_near or was_near):
-            return Phase.HOLDING_TOO_FAR if law.holds else Phase.TOO_FAR
-        self._is_near = True
-        if not is_near:
-            unit = self._units[k]
-            self.is_behind = (
-                f'{self._joints[k]} is {behind[k]:.3g} {unit} from its reference, limit '
-                f'{limit:g} {unit}'
-            )
-        return Phase.RUNNING
-
-    def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
-        """Return whether joint states are lost, or newer than ``now`` after a clock jump."""
-        was_lost = self.phase is Phase.STATE_LOST
-        if state is None:
-            # No joint state has ever arrived. The first one ends the loss.
-            self._lost_gain = 0.0
-            return True
-        is_fresh = 0.0 <= now - state.time <= timeout
-        if not is_fresh:
-            if not was_lost:
-                self._lost_gain = gain
-                if state.time - self._fresh_since >= recovery_time(timeout):
-                    self._tolerated_drop = _TOLERATED_DROP
-            self._fresh_since = math.inf
-            return True
-        self._fresh_since = min(self._fresh_since, state.time)
-        if not was_lost:
-            return False
-        drop = max(0.0, self._lost_gain - gain)
-        if drop <= self._tolerated_drop:
-            # Drops add up, so that many short losses also need a recovery time.
-            self._tolerated_drop -= drop
-            return False
-        return state.time - self._fresh_since < recovery_time(timeout)
-
-
-def recovery_time(timeout: float) -> float:
-    """Return how long joint states must arrive without a gap before a loss ends [s]."""
-    return max(2.0 * timeout, _LEAST_RECOVERY)
 
 
 class ControlLoop:
@@ -264,6 +99,10 @@ class ControlLoop:
         self.law = Law(self.dynamics, index)
         """The law of the present mode."""
         self.motion_limits = MotionLimits(self.dynamics, index)
+        ranges = robot.lower[index], robot.upper[index], np.zeros(len(index))
+        is_continuous = robot.is_continuous[index]
+        self.following = Following(JointLimits(self.joints, tuple(units), is_continuous, *ranges))
+        """Leads along trajectories; its references replace others."""
         # Efforts that the law added in the last command, without and with the motion limits.
         self._last_added: tuple[Floats | float, Floats | float] = 0.0, 0.0
         self.motion_problem = '', -math.inf
@@ -307,6 +146,8 @@ class ControlLoop:
         self.law.apply(settings, of_joint)
         self.supervisor.apply(settings, self.law)
         self.motion_limits.apply(settings, of_joint)
+        speeds = self.motion_limits.speeds
+        self.following.limits = self.following.limits._replace(speeds=speeds)
         self.shaper.configure(
             of_joint['effort_scale'],
             limits,
@@ -352,14 +193,57 @@ class ControlLoop:
 
     def stop(self) -> None:
         """Drop the reference, ramp the efforts to zero, and keep them at zero until `resume`."""
-        self.reference = None
+        self._drop_reference('the node was disabled')
         if not self.supervisor.is_stopping and self.phase in COMPUTING_PHASES:
             self.stop_damping.begin(self.settings, self.of_joint['effort_scale'], self.limits)
         self.supervisor.stop()
 
     def follow(self, reference: Reference) -> None:
-        """Follow a reference from the next step on."""
+        """Follow a reference from the next step on, and no trajectory."""
+        self.following.end('another reference has arrived')
         self.reference = reference
+
+    def follow_trajectory(self, plan: Plan, time: float) -> None:
+        """
+        Follow a trajectory, and then hold its last position.
+
+        ``time`` is the time since the start of the trajectory [s]; see `Following.start`. A
+        TrajectoryError is raised if no trajectory can begin.
+
+        """
+        if not self.law.uses_reference:
+            mode = self.settings.mode.value
+            raise TrajectoryError(f'the mode is {mode}, in which no trajectory is followed')
+        if self.phase not in COMPUTING_PHASES:
+            raise TrajectoryError(f'no trajectory can begin: {self.phase.value}')
+        farthest = self.settings.max_tracking_error or math.inf
+        self.following.start(plan, time, self.present_motion(), farthest)
+
+    def present_motion(self) -> Floats:
+        """
+        Return the motion from which a trajectory begins, shape (3, m).
+
+        It is the present reference, or the motion of an arm that follows no positions. The rows
+        contain positions [rad or m], velocities and accelerations.
+
+        """
+        reference, following, law = self.reference, self.following, self.law
+        q, qd = self.collector.q[self.index], self.collector.qd[self.index]
+        qdd: Floats = 0.0 * q
+        if self.phase is Phase.RUNNING and reference is not None:
+            qdd = reference.accelerations
+            if following.is_active and law.is_closed:
+                return following.state
+            if law.is_closed and reference.positions is not None:
+                q, qd = reference.positions, 0.0 * q
+                qd = qd if reference.velocities is None else reference.velocities
+        elif law.holds and law.equilibrium is not None:
+            q, qd = law.equilibrium, 0.0 * q
+        return np.array([q, qd, qdd])
+
+    def _drop_reference(self, reason: str) -> None:
+        self.following.end(reason)
+        self.reference = None
 
     def resume(self) -> None:
         """End a stop or limit stop; the efforts continue from the last command."""
@@ -374,7 +258,8 @@ class ControlLoop:
         self._restart()
 
     def _restart(self) -> None:
-        self.reference, self._last_added = None, (0.0, 0.0)
+        self._drop_reference('the node was started anew')
+        self._last_added = 0.0, 0.0
         self.motion_problem = '', -math.inf
         self.supervisor.resume()
         self.supervisor.phase = Phase.WAITING
@@ -427,10 +312,14 @@ class ControlLoop:
         law, shaper, is_live = self.law, self.shaper, not self.dry_run.is_active
         self._pass_time(now)
         state, events = self._inputs(now, is_live)
+        if self.following.is_active:
+            self.reference = self.following.reference(now, shaper.clock.since)
         phase = self.supervisor.decide(now, state, self.reference, shaper.gain, is_live=is_live)
         if phase is Phase.WAITING:
             shaper.clock.start()
             return None
+        if self.following.is_active:
+            self._watch_following(phase, state)
         report = ''
         if phase is not Phase.STOPPED:
             self.stop_damping.end()
@@ -448,6 +337,18 @@ class ControlLoop:
         return self._result._replace(
             sent=sent, end_of_damping=report, lost_velocities=events.lost_velocities
         )
+
+    def _watch_following(self, phase: Phase, state: State | None) -> None:
+        """Compare the arm with its trajectory, and end the trajectory if the arm is lost."""
+        reference = self.reference
+        if phase is Phase.RUNNING and state is not None and reference is not None:
+            assert reference.positions is not None
+            law = self.law
+            self.following.compare(law.distance(law.measured(state), reference.positions))
+        elif phase is Phase.STATE_LOST:
+            self.following.miss(self.shaper.clock.since, self.collector.q[self.index])
+        else:
+            self._drop_reference(self.supervisor.limit_stop or phase.value)
 
     def _pass_time(self, now: float) -> None:
         """Advance the ramps; after an interruption, begin a blend."""

@@ -128,6 +128,12 @@ class MotionLimits:
         )
         compile_for(restrain, 'void(f8[:,::1], f8[::1], f8[::1], f8, f8)')
 
+    @property
+    def speeds(self) -> Floats:
+        """Largest velocities while a reference is followed, shape (m,) [rad/s or m/s]."""
+        speeds: Floats = self._commanded[_SPEED].copy()
+        return speeds
+
     def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
         """Change the limits; ``of_joint`` is the result of `Settings.expanded`."""
         robot, given = self._dynamics.robot, of_joint['velocity_limits']

@@ -87,17 +87,55 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
         raise TrajectoryError('the trajectory lacks velocities or accelerations, expected both')
     if len(times) == 1 or np.all(counts == 1):
         return whole, points
-    from scipy.interpolate import BPoly
-
     within = np.arange(points[-1]) - np.repeat(points[:-1], counts)
     fine = np.repeat(times[:-1], counts) + within * np.repeat(steps / counts, counts)
-    fine = np.append(fine, times[-1])
-    given = (whole.positions, velocities, accelerations)
-    spline = BPoly.from_derivatives(times, np.stack(given, axis=1))
-    values = [spline(fine, order) for order in range(3)]
-    for value, at_points in zip(values, given, strict=True):
-        value[points] = at_points  # exactly, without rounding
-    return Trajectory(whole.joint_names, fine, *values), points
+    given = np.stack([whole.positions, velocities, accelerations])
+    polynomials = quintic(given[:, :-1], given[:, 1:], steps[:, None])
+    of_state = np.repeat(polynomials, counts, axis=1)
+    values = evaluate(
+        of_state, (within / np.repeat(counts, counts))[:, None], np.repeat(steps, counts)[:, None]
+    )
+    values[:, points[:-1]] = given[:, :-1]  # exactly, without rounding
+    values = np.concatenate([values, given[:, -1:]], axis=1)
+    return Trajectory(whole.joint_names, np.append(fine, times[-1]), *values), points
+
+
+def quintic(start: Floats, end: Floats, duration: Floats | float) -> Floats:
+    """
+    Return the coefficients of the quintic polynomials between two states, shape (6, ...).
+
+    ``start`` and ``end`` contain position, velocity and acceleration, shape (3, ...), and
+    ``duration`` [s] is positive. `evaluate` takes the coefficients, in ascending order.
+
+    """
+    q, v, a = start[0], duration * start[1], 0.5 * duration**2 * start[2]
+    way = end[0] - (q + v + a)
+    turn, bend = duration * end[1] - (v + 2.0 * a), duration**2 * end[2] - 2.0 * a
+    return np.stack(
+        [
+            q,
+            v,
+            a,
+            10.0 * way - 4.0 * turn + 0.5 * bend,
+            -15.0 * way + 7.0 * turn - bend,
+            6.0 * way - 3.0 * turn + 0.5 * bend,
+        ]
+    )
+
+
+def evaluate(polynomials: Floats, fraction: Floats | float, duration: Floats | float) -> Floats:
+    """
+    Return position, velocity and acceleration of polynomials of `quintic`, shape (3, ...).
+
+    ``fraction`` is the fraction of the ``duration`` [s] that has passed, from 0 to 1.
+
+    """
+    c0, c1, c2, c3, c4, c5 = polynomials
+    u = fraction
+    position = c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5))))
+    velocity = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))
+    acceleration = 2.0 * c2 + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5))
+    return np.stack([position, velocity / duration, acceleration / duration**2])
 
 
 def trajectory_efforts(

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..control.loop import COMPUTING_PHASES, ControlLoop, Phase, TOO_FAR_PHASES
+from ..control.loop import ControlLoop
+from ..control.supervisor import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
 from ..ros.diagnostics import Level, NodeStatus
 from .status_text import activity

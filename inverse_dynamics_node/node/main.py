@@ -130,7 +130,7 @@ def _run(stop: _Stop) -> int:
     from .node import InverseDynamicsNode
     from .runner import Watchdog
     from .scheduling import Scheduling
-    from .trajectory_filler import Worker
+    from .worker import Worker
 
     scheduling = Scheduling()
     worker = Worker()

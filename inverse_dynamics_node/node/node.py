@@ -21,6 +21,8 @@ from ..ros.middleware import LATCHED, overridable
 from ..ros.private import leave_graph
 from .configure import check_configuration, launch_warning, make_loop
 from .description_file import load_robot
+from .follow_action import serve_action
+from .following import TrajectoryFollower
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
@@ -36,7 +38,8 @@ from .scheduling import Scheduling
 from .services import answer_requests, contain_errors, Services
 from .status import OUTDATED
 from .status_publisher import StatusPublisher
-from .trajectory_filler import TrajectoryFiller, Worker
+from .trajectory_filler import TrajectoryFiller
+from .worker import Worker, WorkQueue
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
 # On a busy machine, an answer is lost if the node leaves the graph before the client has read it.
@@ -100,7 +103,9 @@ class InverseDynamicsNode(LifecycleNode):
             self._signals,
             configuration,
         )
-        self._filler = TrajectoryFiller(self, self._runner, self._worker)
+        self._queue = WorkQueue(self, self._worker)
+        filler = TrajectoryFiller(self, self._runner, self._queue)
+        serve_action(self, self._runner, TrajectoryFollower(self, self._runner, self._queue))
         self.create_subscription(
             String,
             'robot_description',
@@ -108,7 +113,7 @@ class InverseDynamicsNode(LifecycleNode):
             LATCHED,
             **overridable(),
         )
-        self._inputs = Inputs(self, self._runner, self._filler)
+        self._inputs = Inputs(self, self._runner, filler)
         Services(self, self._runner)
         self._diagnostics = StatusPublisher(
             self, self._runner, self._inputs, steady, self._scheduling
@@ -156,7 +161,7 @@ class InverseDynamicsNode(LifecycleNode):
         if self._runner.loop is None:
             return
         self._inputs.read_latest_joint_state()
-        self._filler.poll()
+        self._queue.poll()
         self._runner.catch_up()
         self._diagnostics.publish_if_late()
 

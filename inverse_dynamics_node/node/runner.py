@@ -12,8 +12,9 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from ..control.loop import Command, COMPUTING_PHASES, ControlLoop
+from ..control.loop import Command, ControlLoop
 from ..control.stop_damping import AT_REST
+from ..control.supervisor import COMPUTING_PHASES
 from ..errors import listed, shortened_lines
 from ..ros.controllers import Controllers
 from ..ros.graph import Graph

@@ -13,7 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..control.external_loads import IMU_TIMEOUT
-from ..control.loop import COMPUTING_PHASES, ControlLoop, Phase, TOO_FAR_PHASES
+from ..control.following import Following
+from ..control.loop import ControlLoop
+from ..control.supervisor import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..ros.controllers import Controller
 from ..ros.diagnostics import as_text, Level, NodeStatus, Part
 from ..ros.graph import OtherNodes, SimulatedClock
@@ -167,6 +169,7 @@ def _values_of_robot(
             'age [s]': now - loop.reference.time if loop.reference else 'never',
             'timeout [s]': settings.reference_timeout,
             'mode': settings.mode.value,
+            **_values_of_trajectory(loop.following),
         },
         'efforts': {
             'receivers': around.receivers,
@@ -191,6 +194,16 @@ def _values_of_robot(
             'gravity in the root link [m/s^2]': loads.gravity_at_root,
             **{f'warning {k}': str(each) for k, each in enumerate(robot.warnings, start=1)},
         },
+    }
+
+
+def _values_of_trajectory(following: Following) -> dict[str, Any]:
+    doing = 'followed' if following.time_left else 'held'
+    return {
+        'trajectory': doing if following.is_active else following.reason or None,
+        'trajectory progress [%]': round(100.0 * following.progress, 1),
+        'trajectory time left [s]': round(following.time_left, 3),
+        'trajectory largest error [rad, m]': float(following.largest_error.max()),
     }
 
 

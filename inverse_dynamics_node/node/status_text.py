@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..control.joint_states import JointStateCollector
-from ..control.loop import ControlLoop, Phase, recovery_time, TOO_FAR_PHASES
+from ..control.loop import ControlLoop
 from ..control.settings import StalePolicy
+from ..control.supervisor import Phase, recovery_time, TOO_FAR_PHASES
 from ..errors import listed
 from ..robot.limit_checks import implausible_positions
 from ..robot.model import Floats

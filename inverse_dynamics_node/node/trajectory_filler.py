@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
-from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 import contextlib
-import ctypes
+from functools import partial
 from itertools import compress
-import multiprocessing
-import os
-import pickle
-import signal
-import traceback
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..control.loop import ControlLoop
 from ..dynamics.trajectory import complete, joint_index, Trajectory, trajectory_efforts
-from ..errors import InverseDynamicsError, listed, TrajectoryError
+from ..errors import listed, TrajectoryError
 from ..robot.model import Floats
 from ..ros.middleware import overridable, RELIABLE
 from .runner import LoopRunner
+from .worker import WorkQueue
 
 with contextlib.suppress(ImportError):  # reported when a trajectory is filled
     # Imported here, because the import would take tenths of a second in the child process.
@@ -35,13 +27,7 @@ with contextlib.suppress(ImportError):  # reported when a trajectory is filled
 
 _MAX_SIZE = 1_000_000  # [bytes]; a trajectory of this size delays commands by milliseconds
 _MAX_WAITING = 10
-_PERIOD = 0.005  # [s]; between checks for results
 _FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
-_PR_SET_PDEATHSIG = 1  # prctl(2)
-_ENDED = (
-    'the process that fills trajectories has ended, for example for lack of memory; restart the '
-    'node to fill trajectories'
-)
 
 
 class Filled(NamedTuple):
@@ -63,7 +49,7 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
     cannot be used.
     """
     message = deserialize_trajectory(data)
-    trajectory, notes = complete(_read_trajectory(message))
+    trajectory, notes = complete(read_trajectory(message))
     efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
     index = joint_index(trajectory.joint_names, loop.robot.joint_names)
     scale, limits = np.ones_like(loop.collector.q), loop.robot.effort_limits.copy()
@@ -75,77 +61,14 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
     return Filled(serialize_message(filled), notes, beyond)
 
 
-class Worker:
-    """
-    Calls functions one at a time in a child process.
-
-    A thread that reads a long message would hold the global interpreter lock for
-    milliseconds, and so delay the control loop. On a busy machine, the scheduler may also
-    interrupt the thread while it holds the lock.
-
-    The child process is a copy of this process. Create the worker after the imports, so that the
-    processes share the memory of the libraries. Create the worker before the node, so that the
-    copy contains no ROS entities. Create `Scheduling` before the worker, so that the threads
-    that the worker starts in this process get the priority of the loop.
-    """
-
-    def __init__(self) -> None:
-        self.problem = ''
-        """Why the child process could not be created, or an empty string."""
-        try:
-            fork = multiprocessing.get_context('fork')
-            self._pool = ProcessPoolExecutor(1, fork, _prepare, (os.getpid(),))
-            self._pool.submit(int)  # creates the process
-        except OSError as error:  # a limit on processes or on memory
-            self.problem = f'cannot create the process that fills trajectories ({error})'
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """
-        Schedule a call of a module-level function, and pickle the arguments now.
-
-        Callers must poll the future, because its callbacks run in another thread. Raise a
-        TrajectoryError if the process could not be created or has ended.
-        """
-        if self.problem:
-            raise TrajectoryError(self.problem)
-        try:
-            return self._pool.submit(_call, pickle.dumps((function, arguments)))
-        except BrokenExecutor as error:
-            raise TrajectoryError(_ENDED) from error
-
-
-def _prepare(parent: int) -> None:
-    """Make the child process ignore signals, end with its parent, and run at normal priority."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # sent by a terminal or a service manager
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # the parent may run under chrt
-
-
-def _call(request: bytes) -> Any:
-    function, arguments = pickle.loads(request)
-    try:
-        return function(*arguments)
-    except InverseDynamicsError:
-        raise
-    except Exception:  # an error of a library cannot always be pickled
-        raise InverseDynamicsError(traceback.format_exc()) from None
-
-
 class TrajectoryFiller:
     """Lets a worker compute the efforts for trajectories, and publishes the results."""
 
-    def __init__(self, node: LifecycleNode, runner: LoopRunner, worker: Worker) -> None:
-        self._runner, self._worker = runner, worker
-        self._waiting: deque[Future[Filled]] = deque()
+    def __init__(self, node: LifecycleNode, runner: LoopRunner, queue: WorkQueue) -> None:
+        self._runner, self._queue = runner, queue
         self._publisher = node.create_publisher(
             JointTrajectory, '~/joint_trajectory_out', RELIABLE, **overridable()
         )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(_PERIOD, self.poll, clock=steady)
-        self._timer.cancel()
 
     def submit(self, loop: ControlLoop, data: bytes) -> None:
         """
@@ -164,27 +87,12 @@ class TrajectoryFiller:
                 'node is active, because a larger trajectory would delay commands; '
                 'deactivate the node first, or split the trajectory'
             )
-        if len(self._waiting) >= _MAX_WAITING:
+        if len(self._queue) >= _MAX_WAITING:
             raise TrajectoryError(f'{_MAX_WAITING} trajectories are already queued')
-        self._waiting.append(self._worker.submit(fill, loop, data))
-        self._timer.reset()
+        topic = '~/joint_trajectory_in'
+        self._queue.submit(self._finish, partial(self._runner.reject, topic), fill, loop, data)
 
-    def poll(self) -> None:
-        """Publish the next trajectory if its efforts have been computed."""
-        if not self._waiting:
-            self._timer.cancel()
-        elif self._waiting[0].done():
-            self._finish(self._waiting.popleft())
-
-    def _finish(self, future: Future[Filled]) -> None:
-        try:
-            filled = future.result()
-        except BrokenExecutor:
-            self._runner.reject('~/joint_trajectory_in', _ENDED)
-            return
-        except Exception as error:  # any error in the other process
-            self._runner.reject('~/joint_trajectory_in', error)
-            return
+    def _finish(self, filled: Filled) -> None:
         notes = [*filled.notes]
         if filled.beyond:
             notes.append(f'the efforts of {listed(filled.beyond)} exceed their limits')
@@ -202,7 +110,7 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
         raise TrajectoryError(text) from error
 
 
-def _read_trajectory(message: JointTrajectory) -> Trajectory:
+def read_trajectory(message: JointTrajectory) -> Trajectory:
     names, points = tuple(message.joint_names), message.points
 
     def read(what: str) -> Floats | None:

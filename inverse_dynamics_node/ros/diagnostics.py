@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..control.loop import COMPUTING_PHASES
+from ..control.supervisor import COMPUTING_PHASES
 from ..errors import shortened
 
 _NONE = 'none'  # the text of an empty list
@@ -83,6 +83,16 @@ class NodeStatus(dict[str, Part]):
         return [
             (link, float(mass), coms[3 * k : 3 * k + 3]) for k, (mass, _, link) in enumerate(loads)
         ]
+
+    def trajectory(self) -> str | None:
+        """Return how far a trajectory has been followed, and how well; None if there is none."""
+        doing, progress, left, error = (
+            self.text('reference', f'trajectory{key}')
+            for key in ('', ' progress [%]', ' time left [s]', ' largest error [rad, m]')
+        )
+        if doing in ('', _NONE):
+            return None
+        return f'{doing}, {progress} %, {left} s left, largest error {error} rad or m'
 
     @property
     def is_computing(self) -> bool:

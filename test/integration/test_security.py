@@ -7,7 +7,7 @@ from fork_server import SERVER
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.node.node import InverseDynamicsNode
 from inverse_dynamics_node.node.scheduling import Scheduling
-from inverse_dynamics_node.node.trajectory_filler import Worker
+from inverse_dynamics_node.node.worker import Worker
 from inverse_dynamics_node.simulation.robot import RobotNode
 from node_process import PATIENCE
 import pytest

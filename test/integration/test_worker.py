@@ -1,4 +1,4 @@
-"""Commands continue while the node fills trajectories in a process of its own."""
+"""Commands continue while the node reads and fills trajectories in a process of its own."""
 
 import os
 from pathlib import Path
@@ -82,7 +82,7 @@ def test_commands_continue_during_long_work(run_node, robot):
 
     os.kill(worker, signal.SIGKILL)  # as the kernel does without memory
     robot.keep_publishing('inverse_dynamics/joint_trajectory_in', trajectory(3))
-    robot.wait_for_text(node, 'dropped: the process that fills trajectories has ended')
+    robot.wait_for_text(node, 'dropped: the process that reads trajectories has ended')
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 100, 'commands')
     robot.wait_for_command(HOLD)
@@ -117,7 +117,7 @@ def test_a_node_that_may_not_fork_drops_trajectories_and_keeps_commanding(run_no
     robot.publish_state(NAMES, Q, np.zeros(6))
     robot.wait_for_command(HOLD)
     reason = (
-        'cannot create the process that fills trajectories '
+        'cannot create the process that reads trajectories '
         '([Errno 11] Resource temporarily unavailable)'
     )
     assert f'warning: {reason}' in node.output
