@@ -211,8 +211,8 @@ def main() -> None:
             else:
                 found = run.finish(options.held)
                 page.append(
-                    f'| {name} | {1e3 * found.error:.2f} | {found.step:.1%} | {found.own_step:.1%} '
-                    f'| {1e3 * found.drift:.3f} | {found.end} |'
+                    f'| {name} | {1e3 * found.error:.2f} | {found.step:.2%} '
+                    f'| {found.own_step:.2%} | {1e3 * found.drift:.3f} | {found.end} |'
                 )
             print(arm, page[-1], flush=True)
     if options.doc:
@@ -221,17 +221,17 @@ def main() -> None:
 
 HEAD = """# Following trajectories
 
-`make bench-following` writes this page. The control loop of the node moves arms in MuJoCo at 500 Hz
-in `computed_torque`, with kp 100 and kd 20. The arms have the friction of their descriptions. The
-node compensates none of it, so that the tracking error is mostly that of the friction. Each
-trajectory is that of `simulate`, 8 s long, with all joints in motion.
+`make bench-following` writes this page. The control loop of the node moves arms in MuJoCo at
+500 Hz in `computed_torque`, with kp 100 and kd 20. The arms have the friction of their
+descriptions. The node compensates none of it, so that the tracking error is mostly that of the
+friction. Each trajectory is that of `simulate`, 8 s long, with all joints in motion.
 
 - **Error**: largest distance between the arm and its reference.
-- **Step**: largest change of an effort from one command to the next, per effort limit of the joint.
-  The next column has the same for the model along the references alone.
+- **Step**: largest change of an effort from one command to the next, per effort limit of the
+  joint. The next column has the same for the model along the references alone.
 - **Drift**: largest change of a position in the minute after the end."""
 TITLE = (
-    '| trajectory | error [mrad, mm] | step | step of the references | drift [mrad, mm] | ended |\n'
+    '| trajectory | error [mrad, mm] | step | step of the model | drift [mrad, mm] | ended |\n'
     '|---|---|---|---|---|---|'
 )
 

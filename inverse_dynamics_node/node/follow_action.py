@@ -59,6 +59,10 @@ class _Goal:
         data: bytes = serialize_message(request.trajectory)
         return data
 
+    async def wait(self, handle: Any) -> Any:
+        """Return the result when the goal has ended."""
+        return await self.result
+
     @property
     def errors(self) -> Floats:
         """Distances and differences of velocity from the reference, shape (2, m)."""
@@ -87,7 +91,7 @@ class _TrajectoryAction:
             node,
             action,
             NAME,
-            self._execute,
+            _Goal.wait,
             goal_callback=self._respond,
             handle_accepted_callback=self._on_goal,
             cancel_callback=self._on_cancel,
@@ -104,7 +108,7 @@ class _TrajectoryAction:
         assert self._runner.loop is not None
         self._end('abort', 'INVALID_GOAL', 'another goal has arrived')
         goal = self._goal = _Goal(handle, self._runner.loop)
-        handle.execute()
+        handle.execute(goal.wait)
         self._timer.reset()
 
         def begin(plan: Plan) -> None:
@@ -135,11 +139,6 @@ class _TrajectoryAction:
         if self._goal is not None and handle == self._goal.handle:
             self._follower.stop('the goal was cancelled')
         return CancelResponse.ACCEPT
-
-    async def _execute(self, handle: Any) -> Any:
-        """Return the result when the goal has ended."""
-        assert self._goal is not None
-        return await self._goal.result
 
     def _end(self, event: str, code: str, text: str) -> None:
         """

@@ -70,7 +70,7 @@ def test_a_trajectory_is_followed_replaced_in_motion_and_held(
     assert float(values['trajectory largest error [rad, m]']) < 0.1
     assert values['trajectory progress [%]'] == '100'
     assert positions()[:2] == pytest.approx(target, abs=CLOSE)
-    assert positions()[2:] == pytest.approx(others, abs=0.1)
+    assert positions()[2:] == pytest.approx(others, abs=0.3)
     jumps = np.abs(np.diff(robot.commands, axis=0)).max(axis=0)
     assert (jumps < 0.3 * np.ptp(robot.commands, axis=0)).all()
     resting, count = positions(), len(robot.commands)
@@ -85,7 +85,10 @@ def test_a_message_that_cannot_be_followed_is_dropped_with_its_reason(run_node, 
     robot.wait_for_command(HOLD)
     for message, reason in (
         (trajectory([Q], [1.0], ['nope', *NAMES[1:]]), "joint 'nope' does not exist; joints are"),
-        (trajectory([Q + 0.6], [0.0], NAMES), "joint 'joint_1' is 0.6 rad from the trajectory"),
+        (
+            trajectory([Q[:1] + 0.6], [0.0], NAMES[:1]),
+            "joint 'joint_1' is 0.6 rad from the trajectory",
+        ),
     ):
         publishing = robot.keep_publishing(TOPIC, message)
         robot.wait_for_text(node, f'~/joint_trajectory: message dropped: {reason}')
