@@ -8,7 +8,7 @@ from node_process import PATIENCE
 import numpy as np
 import pytest
 from robot_side import HOLD, NAMES, PATIENT, Q, ZERO
-from test_following import TOPIC, trajectory
+from test_joint_trajectory import TOPIC, trajectory
 
 pytest.importorskip('control_msgs', reason='control_msgs is not on the Python package index')
 
