@@ -1,4 +1,4 @@
-"""Estimates external joint efforts, such as those due to contact, from measured efforts."""
+"""Estimates what acts on the arm from outside, such as contact, from measured efforts."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ import math
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
-from ..robot.model import Floats
+from ..robot.model import Booleans, Floats
 from .filters import LowPass
 
 CUTOFF = 10.0
 """Cutoff of the low-pass for external efforts [Hz]."""
+LEAST_LEVER = 0.05
+"""Change of the joint efforts per force [m] below which a direction of the wrench is damped."""
+_LENGTH = 0.3  # [m]; a moment of 0.3 N m counts as much as a force of 1 N
+_SHOWN = 0.95  # share of a component that the efforts must show
+COMPONENTS = ('force x', 'force y', 'force z', 'moment x', 'moment y', 'moment z')
 _LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restarts
 
 
@@ -61,3 +66,29 @@ class ExternalEffortEstimator:
             self._accelerations = (velocities - last_velocities) / elapsed
         efforts: Floats = unexplained - self.dynamics.mass_matrix(q) @ self._accelerations
         return efforts
+
+
+def tool_wrench(
+    dynamics: InverseDynamics, q: Floats, link: str, efforts: Floats
+) -> tuple[Floats, Booleans]:
+    r"""
+    Return the wrench that explains external efforts, and which components they show.
+
+    ``efforts`` are those of `ExternalEffortEstimator.update`, shape (n,) [N m or N], and may be
+    NaN. The wrench contains the force [N] and the moment [N m] that the world exerts on the
+    ``link``, about its origin and in its frame, shape (6,). It is the least-squares solution of
+    :math:`-J^\top F = e`. A direction in which a force of 1 N, or a moment of 0.3 N m, changes
+    the efforts by less than `LEAST_LEVER` is damped, so that errors of the efforts are never
+    multiplied by more than its inverse. A component of which less than 95 % can be recovered is
+    not shown: it is nearer to zero than the real one, and includes parts of others.
+
+    """
+    R = dynamics.pose(q, link)[:3, :3]
+    is_measured = np.isfinite(efforts)
+    linear, angular = dynamics.jacobian(q, link)[:, is_measured].reshape(2, 3, -1)
+    rows = np.concatenate([R.T @ linear, _LENGTH * R.T @ angular])
+    directions, levers, modes = np.linalg.svd(rows, full_matrices=False)
+    damped = levers / np.maximum(levers, LEAST_LEVER) ** 2
+    wrench = -directions @ (damped * (modes @ efforts[is_measured]))
+    wrench[3:] *= _LENGTH
+    return wrench, directions**2 @ (damped * levers) >= _SHOWN

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 import math
 from typing import NamedTuple
 
@@ -11,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import TrajectoryError
+from ..robot.kinematics import last_link
 from ..robot.model import Booleans, Floats, RobotModel
-from .contact import ExternalEffortEstimator
+from .contact import COMPONENTS, ExternalEffortEstimator, tool_wrench
 from .external_loads import ExternalLoads
 from .following import Following, JointLimits, Plan
 from .joint_states import Events, JointStateCollector, State
@@ -117,6 +119,10 @@ class ControlLoop:
         self.drive = DriveReference()
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.measured_gravity = MeasuredGravity.AS_COMMANDED
+        self.tool_link = last_link(robot)
+        """Link whose wrench `tool_wrench` estimates."""
+        self.hidden_components: list[str] = []
+        """Components of the last tool wrench that the efforts do not show."""
         self.settings = settings or Settings()
         self.apply(self.settings)
 
@@ -455,6 +461,12 @@ class ControlLoop:
             return self.external_effort_estimator.update(
                 collector.time, collector.q, collector.qd, collector.efforts
             )
+
+    def tool_wrench(self, efforts: Floats) -> Floats:
+        """Estimate the wrench on `tool_link` from external efforts; see `contact.tool_wrench`."""
+        wrench, is_shown = tool_wrench(self.dynamics, self.collector.q, self.tool_link, efforts)
+        self.hidden_components = list(compress(COMPONENTS, ~is_shown))
+        return wrench
 
     @property
     def measures_gravity(self) -> bool:

@@ -35,7 +35,12 @@ def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> Con
     )
     loop.description = text
     apply_configuration(loop, configuration)
-    loop.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))  # compiles further functions
+    if configuration.tool_link:
+        robot.link_index(configuration.tool_link)  # raises an error if it does not exist
+        loop.tool_link = configuration.tool_link
+    zeros = np.zeros(len(robot.joint_names))
+    loop.dynamics.gravity_efforts(zeros)  # compiles further functions
+    loop.tool_wrench(zeros)
     return loop
 
 

@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Sequence
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
@@ -39,20 +40,19 @@ class Outputs:
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
         """Publishers of the topics that may carry the commands."""
         self._external_efforts = publisher(JointState, '~/external_efforts')
+        self._tool_wrench = publisher(WrenchStamped, '~/tool_wrench')
         self._description = node.create_publisher(String, '~/robot_description', LATCHED)
         self._joints = JointState()
         self._subscribed: set[Any] = set()
         self.uses_measured_efforts = False
-        """Whether ``~/external_efforts`` has a subscriber and thus needs measured efforts."""
+        """Whether a topic with a subscriber needs measured efforts."""
 
     def find_subscribers(self) -> None:
         """Store which topics have subscribers; a check before every message would be too slow."""
-        self._subscribed = {
-            publisher
-            for publisher in (self._joint_efforts, self._joint_commands, self._external_efforts)
-            if publisher.get_subscription_count()
-        }
-        self.uses_measured_efforts = self._external_efforts in self._subscribed
+        of_measured = self._external_efforts, self._tool_wrench
+        optional = self._joint_efforts, self._joint_commands, *of_measured
+        self._subscribed = {each for each in optional if each.get_subscription_count()}
+        self.uses_measured_efforts = not self._subscribed.isdisjoint(of_measured)
 
     @property
     def receivers(self) -> int:
@@ -110,14 +110,23 @@ class Outputs:
         )
 
     def publish_external_efforts(self, loop: ControlLoop) -> None:
-        """Publish the external efforts of the joints with measured efforts."""
-        if self._external_efforts not in self._subscribed:
+        """Publish the external efforts of the joints with measured efforts, and their wrench."""
+        if not self.uses_measured_efforts:
             return
         efforts = loop.external_efforts()
         measured = np.flatnonzero(np.isfinite(efforts))
-        if len(measured):
+        if len(measured) and self._tool_wrench in self._subscribed:
+            self._publish_wrench(loop.tool_link, loop.tool_wrench(efforts).tolist())
+        if len(measured) and self._external_efforts in self._subscribed:
             names = [loop.robot.joint_names[i] for i in measured]
             self._publish_efforts(self._external_efforts, names, efforts[measured])
+
+    def _publish_wrench(self, link: str, wrench: Sequence[float]) -> None:
+        message = WrenchStamped()
+        message.header.stamp, message.header.frame_id = self._clock.now().to_msg(), link
+        force, moment = message.wrench.force, message.wrench.torque
+        force.x, force.y, force.z, moment.x, moment.y, moment.z = wrench
+        self._tool_wrench.publish(message)
 
     def _publish_efforts(
         self,

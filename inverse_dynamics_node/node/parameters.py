@@ -73,6 +73,13 @@ class Configuration(Settings):
         'No movable joint may lie between this link and the root link',
         is_live=False,
     )
+    tool_link: str = parameter(
+        '',
+        'Link of `~/tool_wrench`. Empty: that of `inverse_dynamics check`',
+        'By default, the last link of the longest chain, or a link fixed to it whose name is that '
+        'of a tool',
+        is_live=False,
+    )
     update_rate: float = parameter(
         0.0,
         'Commands per second. 0: one command for every joint state',

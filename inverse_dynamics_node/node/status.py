@@ -176,6 +176,7 @@ def _values_of_robot(
             'topic with names': around.topics[1],
             'topic of the external efforts': around.topics[2],
             'measured efforts contain gravity': loop.measures_gravity,
+            'not shown by the tool wrench': loop.hidden_components,
             'scale of the measured efforts': loop.external_effort_estimator.scale[loop.index],
             'scale': loop.of_joint['effort_scale'],
             'limits [N m, N]': loop.limits,

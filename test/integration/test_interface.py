@@ -228,6 +228,21 @@ def test_external_efforts_are_published_while_efforts_are_measured(run_node, rob
     robot.wait_until(is_silent, '40 commands in a row without external efforts')
 
 
+def test_the_wrench_on_the_tool_is_published_with_the_sign_of_the_external_wrench(run_node, robot):
+    run_node(**PATIENT)
+    pushed = InverseDynamics(MODEL)
+    pushed.set_external_wrench('tool0', (5.0, -3.0, 8.0), (0.5, 0.2, -0.4))
+    robot.publish_state(NAMES, Q, ZERO, pushed.efforts(Q, ZERO, ZERO))
+    heard = robot.listen(WrenchStamped, f'{OWN}/tool_wrench')
+
+    def is_found(message):
+        force, moment = message.wrench.force, message.wrench.torque
+        found = force.x, force.y, force.z, moment.x, moment.y, moment.z
+        return found == pytest.approx((5.0, -3.0, 8.0, 0.5, 0.2, -0.4), abs=1e-3)
+
+    assert robot.wait_for(heard, is_found, 'the wrench').header.frame_id == 'tool0'
+
+
 def test_external_efforts_of_a_driver_that_adds_gravity_and_measures_it(run_node, robot, dynamics):
     sign = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     settings = {'include_gravity': False, 'measured_effort_scale': sign.tolist()}

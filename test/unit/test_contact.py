@@ -1,10 +1,16 @@
 """Estimates of external efforts: zero for a correct model, minus the efforts of a push."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.contact import ExternalEffortEstimator
+from inverse_dynamics_node.control.contact import (
+    COMPONENTS,
+    ExternalEffortEstimator,
+    LEAST_LEVER,
+    tool_wrench,
+)
+from inverse_dynamics_node.robot.kinematics import last_link
 import numpy as np
 import pytest
-from robot_files import STANFORD
+from robot_files import ROOT, STANFORD
 
 DT = 0.002
 
@@ -94,3 +100,51 @@ def test_a_push_rises_with_the_time_constant_of_the_low_pass(dynamics):
     # No time has passed, so the filter does not move.
     again = estimator.update(time_constant, q, np.zeros(6), hold + 5.0 * push)
     assert again == pytest.approx(found)
+
+
+WRENCH = np.array([12.0, -20.0, 9.0, 1.5, -2.0, 0.7])
+ARMS = STANFORD, ROOT / 'test/robots/seven_dof.urdf'
+
+
+def explained(robot, q, wrench=WRENCH, unmeasured=()):
+    """Return what a wrench of the world on the last link explains of itself, and what it shows."""
+    dynamics, link, rest = InverseDynamics(robot), last_link(robot), np.zeros(len(q))
+    pushed = InverseDynamics(robot)
+    pushed.set_external_wrench(link, wrench[:3], wrench[3:])
+    measured = pushed.efforts(q, rest, rest)
+    measured[list(unmeasured)] = np.nan
+    efforts = ExternalEffortEstimator(dynamics).update(0.0, q, rest, measured)
+    found, is_shown = tool_wrench(dynamics, q, link, efforts)
+    return found, [name for name, shown in zip(COMPONENTS, is_shown, strict=True) if shown]
+
+
+@pytest.mark.parametrize('path', ARMS, ids=lambda path: path.stem)
+def test_a_wrench_on_the_tool_is_found_in_ten_poses(path):
+    robot, random, poses = load_urdf(path), np.random.default_rng(2), 0
+    lower, upper = np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5)
+    while poses < 10:
+        found, shown = explained(robot, random.uniform(lower, upper))
+        if len(shown) == 6:
+            poses += 1
+            assert found == pytest.approx(WRENCH, rel=0.03, abs=0.5)
+
+
+def test_a_stretched_arm_does_not_show_the_force_along_itself():
+    robot = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+    found, shown = explained(robot, np.zeros(7))
+    assert len(shown) < 6
+    # Nothing is multiplied by more than the inverse of the least lever.
+    largest = np.abs(found / [1.0, 1.0, 1.0, 0.3, 0.3, 0.3]).max()
+    assert largest < np.linalg.norm(WRENCH) / LEAST_LEVER
+    assert np.isfinite(found).all()
+    for k in (COMPONENTS.index(name) for name in shown):
+        assert found[k] == pytest.approx(WRENCH[k], rel=0.05, abs=0.05 * np.abs(WRENCH).max())
+
+
+def test_components_that_too_few_joints_measure_are_not_shown():
+    robot = load_urdf(ARMS[1])
+    q = np.array([0.3, 0.8, -0.5, 1.2, 0.6, 0.9, 0.2])
+    assert explained(robot, q)[1] == list(COMPONENTS)
+    found, shown = explained(robot, q, unmeasured=(1, 4))
+    assert np.isfinite(found).all()
+    assert len(shown) < 6
