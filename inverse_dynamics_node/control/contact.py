@@ -17,7 +17,28 @@ LEAST_LEVER = 0.05
 _LENGTH = 0.3  # [m]; a moment of 0.3 N m counts as much as a force of 1 N
 _SHOWN = 0.95  # share of a component that the efforts must show
 COMPONENTS = ('force x', 'force y', 'force z', 'moment x', 'moment y', 'moment z')
+_CONTACT_TIME = 0.15  # [s]; shorter external efforts are no contact
 _LONGEST_GAP = 0.5  # [s]; after a longer gap between states, the filter restarts
+
+
+class ContactDetector:
+    """Finds a joint whose external effort stays beyond its limit; there are ``m`` joints."""
+
+    def __init__(self, m: int) -> None:
+        self._since = np.full(m, math.inf)  # time since which each effort is beyond its limit [s]
+
+    def find(self, time: float, efforts: Floats, limits: Floats) -> int | None:
+        """
+        Return the index of the joint with a contact, or None.
+
+        ``efforts`` and ``limits`` are external efforts and their limits, shape (m,) [N m or N].
+        An effort that is not measured is NaN.
+
+        """
+        size = np.abs(efforts)
+        self._since = np.where(size > limits, np.minimum(self._since, time), math.inf)
+        lasts = time - self._since >= _CONTACT_TIME
+        return int(np.argmax(np.where(lasts, size / limits, 0.0))) if lasts.any() else None
 
 
 class ExternalEffortEstimator:

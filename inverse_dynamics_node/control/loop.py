@@ -14,13 +14,13 @@ from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import TrajectoryError
 from ..robot.kinematics import last_link
 from ..robot.model import Booleans, Floats, RobotModel
-from .contact import COMPONENTS, ExternalEffortEstimator, tool_wrench
+from .contact import COMPONENTS, ContactDetector, ExternalEffortEstimator, tool_wrench
 from .external_loads import ExternalLoads
 from .following import Following, JointLimits, Plan
 from .joint_states import Events, JointStateCollector, State
 from .laws import joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
-from .settings import MeasuredGravity, Settings, StalePolicy
+from .settings import ContactPolicy, MeasuredGravity, Settings, StalePolicy
 from .shaping import CommandShaper, DriveReference, DryRun
 from .stop_damping import StopDamping
 from .supervisor import COMPUTING_PHASES, Phase, Supervisor
@@ -118,6 +118,7 @@ class ControlLoop:
         # Further outputs
         self.drive = DriveReference()
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
+        self._contact = ContactDetector(len(index))
         self.measured_gravity = MeasuredGravity.AS_COMMANDED
         self.tool_link = last_link(robot)
         """Link whose wrench `tool_wrench` estimates."""
@@ -146,11 +147,8 @@ class ControlLoop:
         self.loads.settings = settings
         # Less than the state timeout, so that messages without velocities do not stop the arm.
         self.collector.velocity_timeout = 0.5 * settings.state_timeout
-        kind = LAWS[settings.mode]
-        if type(self.law) is not kind:
-            self.law = kind(self.dynamics, self.index)
-        self.law.apply(settings, of_joint)
-        self.supervisor.apply(settings, self.law)
+        self._has_contact_limits = bool(np.isfinite(of_joint['contact_limits']).any())
+        self._choose_law()
         self.motion_limits.apply(settings, of_joint)
         speeds = self.motion_limits.speeds
         self.following.limits = self.following.limits._replace(speeds=speeds)
@@ -165,6 +163,14 @@ class ControlLoop:
             self.blend_model()
         else:
             self.blend()
+
+    def _choose_law(self) -> None:
+        """Use the law of the mode; after a contact, one that floats."""
+        kind = Law if self.supervisor.contact else LAWS[self.settings.mode]
+        if type(self.law) is not kind:
+            self.law = kind(self.dynamics, self.index)
+        self.law.apply(self.settings, self.of_joint)
+        self.supervisor.apply(self.settings, self.law)
 
     def blend(self) -> None:
         """
@@ -220,7 +226,7 @@ class ControlLoop:
         if not self.law.uses_reference:
             mode = self.settings.mode.value
             raise TrajectoryError(f'the mode is {mode}, in which no trajectory is followed')
-        if self.phase not in COMPUTING_PHASES:
+        if self.phase not in COMPUTING_PHASES or self.supervisor.contact:
             raise TrajectoryError(f'no trajectory can begin: {self.phase.value}')
         farthest = self.settings.max_tracking_error or math.inf
         self.following.start(plan, time, self.present_motion(), farthest)
@@ -252,10 +258,11 @@ class ControlLoop:
         self.reference = None
 
     def resume(self) -> None:
-        """End a stop or limit stop; the efforts continue from the last command."""
+        """End a stop, or what follows a contact; the efforts continue from the last command."""
         if self.supervisor.limit_stop:
             self.motion_limits.reset()
         if self.supervisor.resume():
+            self._choose_law()
             self.blend()  # even after a brief stop, because the reference may have been dropped
 
     def start(self, *, is_dry_run: bool = False) -> None:
@@ -268,6 +275,7 @@ class ControlLoop:
         self._last_added = 0.0, 0.0
         self.motion_problem = '', -math.inf
         self.supervisor.resume()
+        self._choose_law()
         self.supervisor.phase = Phase.WAITING
         self.stop_damping.end()
         self.law.reset()
@@ -380,7 +388,27 @@ class ControlLoop:
             self.law.release()
         if state is not None and 0.0 <= now - state.time <= self.settings.state_timeout:
             self._observe(now, state, is_live)
+            if self._has_contact_limits and is_live and self.phase in COMPUTING_PHASES:
+                self._feel(state.time)
         return state, events
+
+    def _feel(self, time: float) -> None:
+        """End the motion of the arm after a contact."""
+        if self.shaper.gain < 1.0 or self.supervisor.contact:
+            return  # until the start ramp has ended, something else holds the arm
+        efforts, limits = self.external_efforts()[self.index], self.of_joint['contact_limits']
+        k = self._contact.find(time, efforts, limits)
+        if k is None:
+            return
+        unit = 'N' if self.robot.is_prismatic_joint[self.index[k]] else 'N m'
+        effort, limit = (f'{values[k]:.3g} {unit}' for values in (efforts, limits))
+        contact = f'at {self.joints[k]}: {effort}, limit {limit}'
+        self._drop_reference(f'a contact {contact}')
+        if self.settings.on_contact is ContactPolicy.STOP:
+            self.stop()
+        self.supervisor.contact = contact
+        self._choose_law()
+        self.blend()
 
     def _follow(self, now: float, state: State | None, reference: Reference | None) -> bool:
         """Command the efforts of the law; return False if they are not finite."""

@@ -61,6 +61,15 @@ class StalePolicy(enum.Enum):
     """Keep the last efforts; for arms that have reliable sensors and would otherwise fall."""
 
 
+class ContactPolicy(enum.Enum):
+    """What the arm does after a contact."""
+
+    FLOAT = 'float'
+    """Compensate gravity only, until the node is enabled."""
+    STOP = 'stop'
+    """Let the efforts fall to zero, as when the node is disabled."""
+
+
 PerJoint = float | tuple[float, ...]
 """One number for all commanded joints, or one for each."""
 
@@ -195,6 +204,21 @@ class Settings:
         'The spring acts in every mode, and is damped. It never pulls towards the limit',
         unit='N m/rad, N/m',
         minimum=0.0,
+    )
+    contact_limits: PerJoint = setting(
+        math.inf,
+        'Largest external effort of a joint; a larger one for 0.15 s is a contact. 0: unlimited',
+        'Needs measured efforts, and a model with friction: see `~/external_efforts`. After a '
+        'contact, no reference and no trajectory is followed until `~/enable` with true. This is '
+        'not a safety function',
+        unit='N m, N',
+        minimum=0.0,
+        is_unlimited_at_zero=True,
+    )
+    on_contact: ContactPolicy = setting(
+        ContactPolicy.FLOAT,
+        'What the arm does after a contact',
+        '`float`: compensate gravity only. `stop`: ramp to zero, as `~/enable` with false does',
     )
     reference_timeout: float = setting(
         0.5,

@@ -25,6 +25,7 @@ class Phase(enum.Enum):
     TOO_FAR = 'floating: the reference is too far away'
     HOLDING = 'holding position: no reference'
     HOLDING_TOO_FAR = 'holding position: the reference is too far away'
+    CONTACT = 'floating after a contact'
     STATE_LOST = 'joint states lost'
     NO_SOLUTION = 'no finite efforts for this joint state and reference'
     STOPPED = 'stopped'
@@ -33,7 +34,13 @@ class Phase(enum.Enum):
 
 TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
 """Phases in which the reference is too far away from the joint positions."""
-COMPUTING_PHASES = (Phase.RUNNING, Phase.FLOATING, Phase.HOLDING, *TOO_FAR_PHASES)
+COMPUTING_PHASES = (
+    Phase.RUNNING,
+    Phase.FLOATING,
+    Phase.HOLDING,
+    *TOO_FAR_PHASES,
+    Phase.CONTACT,
+)
 """Phases in which efforts are computed from a fresh state."""
 
 
@@ -60,6 +67,8 @@ class Supervisor:
         """Whether a stop has been requested; the efforts may still be ramping down."""
         self.limit_stop = ''
         """Why the motion limits have stopped the arm; '' if they have not."""
+        self.contact = ''
+        """Which contact has ended the motion of the arm; '' if none has."""
         self.is_behind = ''
         """How far the arm is behind the reference that it was near; '' if it is not."""
         self._is_near = False  # whether the arm has been near the reference that it follows
@@ -80,9 +89,9 @@ class Supervisor:
         self.limit_stop = reason
 
     def resume(self) -> bool:
-        """End a stop and a limit stop; return whether there was one."""
-        was_stopped = self.is_stopping or bool(self.limit_stop)
-        self.is_stopping, self.limit_stop = False, ''
+        """End a stop, a limit stop and what follows a contact; return whether there was one."""
+        was_stopped = self.is_stopping or bool(self.limit_stop) or bool(self.contact)
+        self.is_stopping, self.limit_stop, self.contact = False, '', ''
         return was_stopped
 
     def decide(
@@ -111,6 +120,8 @@ class Supervisor:
             self.phase = Phase.STOPPED
         elif self._is_lost(now, state, timeout, gain):
             self.phase = Phase.STATE_LOST
+        elif self.contact:
+            self.phase = Phase.CONTACT
         else:
             assert state is not None
             self.phase = self._judge(now, state, reference, was_near)

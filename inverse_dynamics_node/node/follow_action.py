@@ -169,8 +169,8 @@ class _TrajectoryAction:
         """Publish feedback, and end the goal if it is reached or if a tolerance is violated."""
         loop, following = goal.loop, goal.loop.following
         if plan is not following.plan and plan is not following.next:
-            is_limit = bool(loop.supervisor.limit_stop)
-            code = 'PATH_TOLERANCE_VIOLATED' if is_limit else 'INVALID_GOAL'
+            has_failed = bool(loop.supervisor.limit_stop or loop.supervisor.contact)
+            code = 'PATH_TOLERANCE_VIOLATED' if has_failed else 'INVALID_GOAL'
             self._end('abort', code, following.reason or 'another trajectory has arrived')
             return
         if plan is not following.plan:

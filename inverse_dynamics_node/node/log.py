@@ -24,7 +24,7 @@ _MOST_MESSAGES = 3  # at most this many reports for each topic are logged within
 _ACTIVITY = 'activity'
 _MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
 _NUMBER = re.compile(r'(?<!\w)[\d.]+')
-_LEVELS = dict.fromkeys(TOO_FAR_PHASES, Level.WARN) | dict.fromkeys(
+_LEVELS = dict.fromkeys((*TOO_FAR_PHASES, Phase.CONTACT), Level.WARN) | dict.fromkeys(
     (Phase.STATE_LOST, Phase.NO_SOLUTION, Phase.LIMIT_STOP), Level.ERROR
 )
 _LOGGED_AT_ONCE = 'messages', 'reference', 'scheduling'

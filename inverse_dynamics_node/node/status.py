@@ -296,6 +296,7 @@ def _table_of_robot(
     return [
         ('loop', OK, doing if is_active else ''),
         ('loop', ERROR, doing if has_stopped else ''),
+        ('loop', WARN, doing if is_active and loop.supervisor.contact else ''),
         ('loop', WARN, f'only {rate:.1f} commands/s' if is_slow else ''),
         ('joint states', OK, 'fresh'),
         ('joint states', if_lost, lost),

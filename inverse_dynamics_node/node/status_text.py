@@ -49,6 +49,8 @@ def activity(now: float, loop: ControlLoop) -> str:
             f'(max_tracking_error: {settings.max_tracking_error:g} rad or m)'
             f'{_full_turns(loop)}'
         )
+    elif phase is Phase.CONTACT:
+        doing += f' {loop.supervisor.contact}'
     elif phase is Phase.LIMIT_STOP:
         doing = f'stopped: {loop.supervisor.limit_stop}'
     elif phase not in (Phase.RUNNING, Phase.WAITING):
@@ -130,7 +132,8 @@ def _consequence(loop: ControlLoop) -> str:
 
 def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.phase is Phase.STOPPED:
-        return 'disabled by ~/enable'
+        contact = loop.supervisor.contact
+        return f'a contact {contact}' if contact else 'disabled by ~/enable'
     if loop.phase is Phase.NO_SOLUTION:
         return str(loop.phase.value)
     timeout = loop.settings.state_timeout
