@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from inverse_dynamics_node import InverseDynamics, load_urdf, TrajectoryError
 from inverse_dynamics_node.control.following import plan
-from inverse_dynamics_node.control.settings import Mode, Settings
+from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.dynamics.trajectory import Trajectory
 from inverse_dynamics_node.robot.model import Floats
 from inverse_dynamics_node.simulation.trajectory import plan as plan_motion
@@ -27,9 +27,9 @@ from simulated_arm import SimulatedArm
 PERIOD = 0.002  # [s]
 MOVING = 8.0  # [s]; duration of the motion
 HELD = 60.0  # [s]
-KP, KD = 2500.0, 100.0  # [1/s^2], [1/s]
+# Gains [1/s^2], [1/s]: by default, and for a wrist whose friction outweighs its inertia.
+GAINS = {'stanford': (100.0, 20.0), 'seven_dof': (2500.0, 100.0), 'ur10_robot': (100.0, 20.0)}
 LIMIT = 0.9  # fraction of the speed limits
-ARMS = ['seven_dof', 'stanford', 'ur10_robot']
 PATHS = {
     path.stem: path for path in [*real_robots(), *(ROOT / 'test/robots').glob('*.urdf'), STANFORD]
 }
@@ -55,7 +55,7 @@ class Run:
 
     def __init__(self, name: str) -> None:
         # The arm is held from the first command on; later, changes are blended in as by default.
-        gains = {'kp': KP, 'kd': KD}
+        gains = dict(zip(('kp', 'kd'), GAINS[name], strict=True))
         settings = Settings(mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, **gains)
         robot = load_urdf(PATHS[name])
         self.start = start_pose(robot, InverseDynamics(robot))
@@ -135,7 +135,7 @@ def _replace(run: Run) -> None:
 def _empty(run: Run) -> None:
     run.follow(run.trajectory(50, 3))
     run.advance(3.1)
-    run.following.stop('an empty trajectory has arrived')
+    run.following.hold(run.following.state, 'an empty trajectory has arrived')
 
 
 def _late(run: Run) -> None:
@@ -156,14 +156,23 @@ def _fast(run: Run) -> None:
     run.follow(run.trajectory(400, 3, stretch=ratio / LIMIT))
 
 
-def _suspended(run: Run) -> None:
-    run.follow(run.trajectory(400, 3))
-    run.advance(3.1)
-    run.suspend(0.3)
+def _held(run: Run) -> None:
+    run.arm.dynamics.set_friction(0.0, 0.0)
+    run.follow(run.trajectory(30))
 
 
-def _lost(duration: float) -> Callable[[Run], None]:
+def _suspended(duration: float) -> Callable[[Run], None]:
     def scenario(run: Run) -> None:
+        run.follow(run.trajectory(400, 3))
+        run.advance(3.1)
+        run.suspend(duration)
+
+    return scenario
+
+
+def _lost(duration: float, policy: StalePolicy = StalePolicy.ZERO) -> Callable[[Run], None]:
+    def scenario(run: Run) -> None:
+        run.loop.apply(replace(run.loop.settings, on_stale_state=policy))
         run.follow(run.trajectory(400, 3))
         run.advance(3.1)
         run.lose(duration)
@@ -175,10 +184,10 @@ def _simple(points: int, fields: int) -> Callable[[Run], None]:
     return lambda run: run.follow(run.trajectory(points, fields))
 
 
-LONG = '30 points, positions'
+LONG = f'held for {HELD:g} s, friction not compensated'
 SCENARIOS: dict[str, Callable[[Run], None]] = {
     '3 points, positions': _simple(3, 1),
-    LONG: _simple(30, 1),
+    '30 points, positions': _simple(30, 1),
     '30 points, velocities': _simple(30, 2),
     '30 points, accelerations': _simple(30, 3),
     '10 000 points, positions': _simple(10_000, 1),
@@ -189,9 +198,13 @@ SCENARIOS: dict[str, Callable[[Run], None]] = {
     'starts in 1 s': _future,
     'two of the joints': _partial,
     f'at {LIMIT:.0%} of the speed limit': _fast,
-    'node suspended for 0.3 s': _suspended,
+    'node suspended for 0.1 s': _suspended(0.1),
+    'node suspended for 0.3 s': _suspended(0.3),
+    'joint states lost for 0.09 s': _lost(0.09),
     'joint states lost for 0.15 s': _lost(0.15),
+    'joint states lost for 0.15 s, on_stale_state: hold': _lost(0.15, StalePolicy.HOLD),
     'joint states lost for 1 s': _lost(1.0),
+    LONG: _held,
 }
 
 
@@ -207,8 +220,9 @@ def main() -> None:
         if not options.scenarios or any(part in name for part in options.scenarios)
     }
     page = [HEAD]
-    for arm in ARMS:
-        page.append(f'\n## {arm}\n\n{TITLE}')
+    for arm in GAINS:
+        kp, kd = GAINS[arm]
+        page.append(f'\n## {arm}, with kp {kp:g} and kd {kd:g}\n\n{TITLE}')
         for name, scenario in chosen.items():
             run = Run(arm)
             try:
@@ -229,17 +243,19 @@ def main() -> None:
 HEAD = f"""# Following trajectories
 
 `make bench-following` writes this page. The control loop of the node moves arms in MuJoCo at
-500 Hz in `computed_torque`, with kp {KP:g} and kd {KD:g}. The friction of the arms is that of
-their descriptions, and the node compensates it (`include_friction`). Each trajectory is that of
-`simulate`, {MOVING:g} s long, with all joints in motion. No run ended in a limit stop, unless the
-last column says so.
+500 Hz in `computed_torque`. The friction of the arms is that of their descriptions, and the node
+compensates it (`include_friction`). Each trajectory is that of `simulate`, {MOVING:g} s long, with
+all joints in motion. No run ended in a limit stop, unless the last column says so.
 
 - **Error**: largest distance between the arm and its reference. The large errors of seven_dof are
   those of its wrist, whose friction is a hundred times the effort that accelerates it.
 - **Step**: largest change of an effort from one command to the next, per effort limit of the
   joint. The next column has the same for the model along the references alone.
-- **Drift**: largest change of a position after the end, in {HELD:g} s for "{LONG}", in 2 s for the
-  others."""
+- **Drift**: largest change of a position from 1 s after the end on: in {HELD:g} s in the last row,
+  in 2 s in the others.
+- **Pauses**: while no joint states arrive, and while the node is suspended, the efforts stay as
+  they were; after `state_timeout` (0.1 s) they fall. stanford and ur10_robot have no friction at
+  all, and fall like a pendulum."""
 TITLE = (
     '| trajectory | error [mrad, mm] | step | step of the model | drift [mrad, mm] | ended |\n'
     '|---|---|---|---|---|---|'

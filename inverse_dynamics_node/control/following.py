@@ -20,8 +20,8 @@ from .laws import Reference
 _APPROACH = 0.1  # [s]; a first point that is due later is approached on a quintic polynomial
 _FADE = 0.5  # [s]; time in which the difference between present reference and trajectory fades
 _LONGEST_BRAKING, _SHORTEST_BRAKING = 2.0, 0.1  # [s]
-_LONGEST_STEP = 0.1  # [s]; a trajectory does not catch up after a longer pause
-_LONGEST_LOSS = 0.1  # [s]; a longer loss of joint states ends a trajectory
+LONGEST_GAP = 0.2
+"""Longest time between joint states that does not end a trajectory [s]."""
 _CHECK_STEP, _MOST_CHECKS = 0.01, 1e5  # [s]; distance and number of the states that are checked
 _AT_REST = 1e-3  # [rad/s or m/s]
 _AT_THE_END = np.array([[1.0], [0.0], [0.0]])  # of position, velocity and acceleration
@@ -176,7 +176,7 @@ class Following:
         """Largest distances since the plan began, shape (m,) [rad or m]."""
         self._rest, self._fade, self._durations = self.state, np.zeros((6, m)), np.ones(m)
         self._accelerations, self._no_efforts = np.zeros((2, m))
-        self._time = self._passed = self._wait = self._lost = 0.0  # [s]
+        self._time = self._passed = self._wait = 0.0  # [s]
 
     @property
     def is_active(self) -> bool:
@@ -227,12 +227,6 @@ class Following:
             self._begin(_REST, 0.0, present)
         self.next, self._wait = plan, -time
 
-    def stop(self, reason: str) -> None:
-        """Decelerate to rest, and hold."""
-        if self.is_active:
-            self._begin(_REST, 0.0, self.state)
-            self.reason = reason
-
     def end(self, reason: str) -> None:
         """Generate no more references."""
         if self.is_active:
@@ -240,11 +234,10 @@ class Following:
             self.reason = reason
 
     def reference(self, now: float, elapsed: float) -> Reference:
-        """Return the reference at time ``now``; the last one is ``elapsed`` old [s]."""
-        step = min(elapsed, _LONGEST_STEP)
-        self._time, self._passed = self._time + step, self._passed + step
+        """Return the reference at time ``now``, ``elapsed`` along from the last one [s]."""
+        self._time, self._passed = self._time + elapsed, self._passed + elapsed
         if self.next is not None:
-            self._wait -= step
+            self._wait -= elapsed
             if self._wait <= 0.0:
                 self._begin(self.next, -self._wait, self._after(self._wait))
         self.state = self._after(0.0)
@@ -253,20 +246,14 @@ class Following:
 
     def compare(self, distance: Floats) -> None:
         """Store how far the arm is from the last reference, shape (m,) [rad or m]."""
-        self.error, self._lost = np.abs(distance), 0.0
+        self.error = np.abs(distance)
         self.largest_error = np.maximum(self.largest_error, self.error)
 
-    def miss(self, elapsed: float, q: Floats) -> None:
-        """
-        Bridge a loss of joint states; after a long loss, hold the arm where it is.
-
-        ``q`` contains the last positions, shape (m,) [rad or m].
-
-        """
-        self._lost += elapsed
-        if self._lost > _LONGEST_LOSS:
-            self._begin(_REST, 0.0, np.stack([q, 0.0 * q, 0.0 * q]))
-            self.reason = 'joint states were lost'
+    def hold(self, present: Floats, reason: str) -> None:
+        """Come to rest from a motion of shape (3, m), such as that of the arm, and hold."""
+        if self.is_active:
+            self._begin(_REST, 0.0, present)
+            self.reason = reason
 
     def _begin(self, plan: Plan, time: float, present: Floats) -> None:
         ends, durations = self._braking(present)

@@ -16,7 +16,7 @@ from ..robot.kinematics import last_link
 from ..robot.model import Booleans, Floats, RobotModel
 from .contact import COMPONENTS, ContactDetector, ExternalEffortEstimator, tool_wrench
 from .external_loads import ExternalLoads
-from .following import Following, JointLimits, Plan
+from .following import Following, JointLimits, LONGEST_GAP, Plan
 from .joint_states import Events, JointStateCollector, State
 from .laws import joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
@@ -105,6 +105,7 @@ class ControlLoop:
         is_continuous = robot.is_continuous[index]
         self.following = Following(JointLimits(self.joints, tuple(units), is_continuous, *ranges))
         """Leads along trajectories; its references replace others."""
+        self._led_at = -math.inf  # time of the joint state of the last reference [s]
         # Efforts that the law added in the last command, without and with the motion limits.
         self._last_added: tuple[Floats | float, Floats | float] = 0.0, 0.0
         self.motion_problem = '', -math.inf
@@ -230,6 +231,7 @@ class ControlLoop:
             raise TrajectoryError(f'no trajectory can begin: {self.phase.value}')
         farthest = self.settings.max_tracking_error or math.inf
         self.following.start(plan, time, self.present_motion(), farthest)
+        self._led_at = self.collector.time
 
     def present_motion(self) -> Floats:
         """
@@ -240,8 +242,7 @@ class ControlLoop:
 
         """
         reference, following, law = self.reference, self.following, self.law
-        q, qd = self.collector.q[self.index], self.collector.qd[self.index]
-        qdd: Floats = 0.0 * q
+        q, qd, qdd = self._measured_motion()
         if self.phase is Phase.RUNNING and reference is not None:
             qdd = reference.accelerations
             if following.is_active and law.is_closed:
@@ -252,6 +253,10 @@ class ControlLoop:
         elif law.holds and law.equilibrium is not None:
             q, qd = law.equilibrium, 0.0 * q
         return np.array([q, qd, qdd])
+
+    def _measured_motion(self) -> Floats:
+        q, qd = self.collector.q[self.index], self.collector.qd[self.index]
+        return np.array([q, qd, 0.0 * q])
 
     def _drop_reference(self, reason: str) -> None:
         self.following.end(reason)
@@ -327,13 +332,13 @@ class ControlLoop:
         self._pass_time(now)
         state, events = self._inputs(now, is_live)
         if self.following.is_active:
-            self.reference = self.following.reference(now, shaper.clock.since)
+            self.reference = self._lead(now)
         phase = self.supervisor.decide(now, state, self.reference, shaper.gain, is_live=is_live)
         if phase is Phase.WAITING:
             shaper.clock.start()
             return None
         if self.following.is_active:
-            self._watch_following(phase, state)
+            self._watch_following(now, phase, state)
         report = ''
         if phase is not Phase.STOPPED:
             self.stop_damping.end()
@@ -352,15 +357,31 @@ class ControlLoop:
             sent=sent, end_of_damping=report, lost_velocities=events.lost_velocities
         )
 
-    def _watch_following(self, phase: Phase, state: State | None) -> None:
+    def _lead(self, now: float) -> Reference:
+        """
+        Return the next reference along the trajectory.
+
+        The trajectory advances with the joint states, not with the commands. Otherwise, feedback
+        would drive the arm while its states are late.
+
+        """
+        gap = max(0.0, self.collector.time - self._led_at)
+        self._led_at = self.collector.time
+        if gap > LONGEST_GAP:
+            reason = f'there was no joint state for {gap:.2g} s'
+            self.following.hold(self._measured_motion(), reason)
+            gap = 0.0
+        return self.following.reference(now, gap)
+
+    def _watch_following(self, now: float, phase: Phase, state: State | None) -> None:
         """Compare the arm with its trajectory, and end the trajectory if the arm is lost."""
-        reference = self.reference
+        reference, law = self.reference, self.law
         if phase is Phase.RUNNING and state is not None and reference is not None:
             assert reference.positions is not None
-            law = self.law
             self.following.compare(law.distance(law.measured(state), reference.positions))
         elif phase is Phase.STATE_LOST:
-            self.following.miss(self.shaper.clock.since, self.collector.q[self.index])
+            if now - self.collector.time <= self.settings.state_timeout:  # it ends soon
+                self.following.hold(self._measured_motion(), 'joint states were lost')
         else:
             self._drop_reference(self.supervisor.limit_stop or phase.value)
 

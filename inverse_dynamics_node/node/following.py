@@ -82,7 +82,8 @@ class TrajectoryFollower:
         """Let the arm decelerate and hold it; also forget a trajectory that is being read."""
         self._last += 1
         if self._runner.loop is not None:
-            self._runner.loop.following.stop(reason)
+            following = self._runner.loop.following
+            following.hold(following.state, reason)
 
     def _begin(
         self,
