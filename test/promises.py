@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import math
 
 from inverse_dynamics_node.control.laws import Reference
-from inverse_dynamics_node.control.loop import COMPUTING_PHASES, Phase
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
+from inverse_dynamics_node.control.supervisor import COMPUTING_PHASES, Phase
 import numpy as np
 
 ROUNDING = 1e-6  # [N m]

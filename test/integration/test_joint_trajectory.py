@@ -104,15 +104,15 @@ def test_commands_continue_while_a_long_trajectory_is_read_and_an_empty_one_is_q
     robot.wait_for_command(HOLD)
     (worker,) = children(node.process.pid)
     long = trajectory([Q] * 10_000, 0.01 * np.arange(1.0, 10_001.0), NAMES)
-    os.kill(worker, signal.SIGSTOP)  # any work takes forever now
     for messages, text in (
         ([long, JointTrajectory()], 'dropped: another message or a stop has come before'),
         ([long], 'a trajectory of 10001 points begins, which lasts 100 s'),
     ):
+        os.kill(worker, signal.SIGSTOP)  # any work takes forever now
         for message in messages:
             robot.publish_once(TOPIC, message)
-        count = len(robot.commands)
-        robot.wait_until(lambda count=count: len(robot.commands) > count + 100, 'commands')
+            count = len(robot.commands)  # only the latest message is kept until it is read
+            robot.wait_until(lambda count=count: len(robot.commands) > count + 100, 'commands')
         os.kill(worker, signal.SIGCONT)
         robot.wait_for_text(node, text)
     robot.wait_for_command(HOLD)

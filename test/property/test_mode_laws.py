@@ -2,9 +2,9 @@
 
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_dynamics_node.control.loop import Phase
 from inverse_dynamics_node.control.motion_limits import MotionLimits
 from inverse_dynamics_node.control.settings import Mode, Settings
+from inverse_dynamics_node.control.supervisor import Phase
 from kinematics import assert_close
 import numpy as np
 from random_trees import robots_with_states as cases

@@ -4,8 +4,9 @@ import math
 from typing import NamedTuple
 
 from inverse_dynamics_node import ConfigurationError, load_urdf
-from inverse_dynamics_node.control.loop import ControlLoop, Phase, recovery_time
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
+from inverse_dynamics_node.control.supervisor import Phase, recovery_time
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES

@@ -5,8 +5,9 @@ import math
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 from inverse_dynamics_node.control.laws import Reference
-from inverse_dynamics_node.control.loop import ControlLoop, Phase
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings
+from inverse_dynamics_node.control.supervisor import Phase
 from inverse_dynamics_node.node.status_text import describe_implausible, missing_inputs
 import numpy as np
 import pytest

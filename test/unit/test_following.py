@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from inverse_dynamics_node import TrajectoryError
 from inverse_dynamics_node.control.following import Following, JointLimits, plan
-from inverse_dynamics_node.control.loop import Phase
 from inverse_dynamics_node.control.settings import Mode
+from inverse_dynamics_node.control.supervisor import Phase
 from inverse_dynamics_node.dynamics.trajectory import Trajectory
 import numpy as np
 import pytest

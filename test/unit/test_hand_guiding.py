@@ -1,8 +1,8 @@
 """Gravity compensation that compensates a share of the friction, from the measured velocity."""
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.control.loop import Phase
 from inverse_dynamics_node.control.settings import Mode, Settings
+from inverse_dynamics_node.control.supervisor import Phase
 import numpy as np
 import pytest
 from states import Arm, PLANAR, Q, store_state

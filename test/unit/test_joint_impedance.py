@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.control.loop import ControlLoop, Phase
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
+from inverse_dynamics_node.control.supervisor import Phase
 from inverse_dynamics_node.node.status_text import describe_unstable_gains
 import numpy as np
 import pytest

@@ -4,8 +4,9 @@ import math
 import re
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.loop import ControlLoop, Phase
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
+from inverse_dynamics_node.control.supervisor import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT

@@ -3,9 +3,9 @@
 import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.loop import Phase
 from inverse_dynamics_node.control.settings import Settings, StalePolicy
 from inverse_dynamics_node.control.stop_damping import AT_REST, TIMEOUT
+from inverse_dynamics_node.control.supervisor import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT

@@ -1,7 +1,7 @@
 """Events between two steps of the control loop cause no step, and end nothing that must go on."""
 
-from inverse_dynamics_node.control.loop import Phase
 from inverse_dynamics_node.control.settings import Mode, StalePolicy
+from inverse_dynamics_node.control.supervisor import Phase
 import numpy as np
 import pytest
 from states import Arm, PLANAR, Q, reference, REST, store_state
