@@ -61,15 +61,6 @@ def test_a_subset_of_joints_is_commanded_in_the_requested_order(run_node, robot)
     robot.wait_for_command([tau[4], tau[1]])
 
 
-def test_a_state_may_be_split_over_several_messages(run_node, robot):
-    node = run_node(**{**PATIENT, 'state_timeout': 60.0})
-    robot.publish_state(NAMES[:2], Q[:2], QD[:2])
-    robot.wait_for_text(node, f'waiting for the positions of {", ".join(NAMES[2:])} on')
-    assert robot.commands == []
-    robot.publish_state(NAMES[2:], Q[2:], QD[2:])
-    robot.wait_for_command(HOLD)
-
-
 def test_a_reference_is_followed_by_name_and_ends(run_node, robot):
     """Only its first point is used, with all of its values."""
     node = run_node(**{**PATIENT, 'reference_timeout': 0.5}, mode='computed_torque', kp=50, kd=10)
@@ -457,32 +448,7 @@ def test_a_description_after_a_shutdown_is_ignored(run_node, robot):
     assert 'Traceback' not in node.output
 
 
-def test_configure_without_a_description_fails_with_a_message(run_node, robot):
-    node = run_node(autostart=False)
-    assert not robot.change_state('configure')
-    robot.wait_for_text(node, 'no robot description')
-    assert robot.get_state() == 'unconfigured'
-
-
 # Names
-
-
-def test_topics_can_be_remapped_and_put_into_a_namespace(run_node, robot):
-    node = run_node(
-        '-r',
-        '__ns:=/left',
-        '-r',
-        'joint_states:=/joint_states',
-        '-r',
-        '~/commands:=/inverse_dynamics/commands',
-        **PATIENT,
-    )
-    publish_shuffled_state(robot)
-    robot.wait_for_command(HOLD)
-    topic = '/left/inverse_dynamics/desired_accelerations'
-    robot.wait_until(lambda: robot.node.count_subscribers(topic), topic)
-    node.interrupt()
-    assert robot.wait_for_end(node) == 0
 
 
 def test_topics_are_those_of_the_documentation(run_node, robot):
