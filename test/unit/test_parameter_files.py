@@ -93,6 +93,15 @@ def test_values_that_do_not_fit_the_robot_are_refused(values, words):
         make_loop(configured(**values), load_urdf(STANFORD), '')
 
 
+def test_friction_is_added_only_if_it_is_included():
+    q, qd = np.full(6, 0.3), np.full(6, 0.2)
+    for is_included, share in ((False, 0.0), (True, 2.0)):
+        given = configured(damping=2.0, coulomb=0.0, include_friction=is_included)
+        loop = make_loop(given, load_urdf(STANFORD), '')
+        terms = loop.dynamics.effort_terms(q, qd, 0.0 * q)
+        assert terms.friction == pytest.approx(share * qd)
+
+
 @pytest.mark.parametrize(
     ('ramp', 'damping', 'words'),
     [
