@@ -180,6 +180,19 @@ def test_names_that_arrive_in_place_of_the_missing_ones_are_shown(reported, hint
     assert hint in missing
 
 
+def test_a_reference_and_its_end_act_at_once():
+    loop = report(ControlLoop(MODEL, settings=Settings(start_ramp=0.2, reference_timeout=0.1)))
+    dynamics, qdd = InverseDynamics(MODEL), np.full(6, 0.2)
+    for k in range(80):
+        now = 0.01 * k
+        if k == 50:
+            loop.follow(Reference(qdd, np.zeros(6), now))
+        efforts = report(loop, now).step(now).efforts
+        if k >= 40:
+            is_followed = 50 <= k <= 60
+            assert efforts == pytest.approx(dynamics.efforts(Q, 0.0 * Q, qdd * is_followed))
+
+
 def test_missing_misnamed_and_old_joint_states_are_listed():
     loop = ControlLoop(MODEL)
     similar = NAMES[0].replace('joint_', 'joint')
