@@ -148,7 +148,8 @@ class ControlLoop:
         self.loads.settings = settings
         # Less than the state timeout, so that messages without velocities do not stop the arm.
         self.collector.velocity_timeout = 0.5 * settings.state_timeout
-        self._has_contact_limits = bool(np.isfinite(of_joint['contact_limits']).any())
+        self.has_contact_limits = bool(np.isfinite(of_joint['contact_limits']).any())
+        """Whether contacts are looked for, which needs measured efforts."""
         self._choose_law()
         self.motion_limits.apply(settings, of_joint)
         speeds = self.motion_limits.speeds
@@ -409,7 +410,7 @@ class ControlLoop:
             self.law.release()
         if state is not None and 0.0 <= now - state.time <= self.settings.state_timeout:
             self._observe(now, state, is_live)
-            if self._has_contact_limits and is_live and self.phase in COMPUTING_PHASES:
+            if self.has_contact_limits and is_live and self.phase in COMPUTING_PHASES:
                 self._feel(state.time)
         return state, events
 

@@ -95,7 +95,7 @@ class Inputs:
         now = self._runner.now()
         try:
             layout, positions, velocities, measured = self._reader.read(data)
-            efforts = self._measured_efforts(layout, measured)
+            efforts = self._measured_efforts(loop, layout, measured)
             is_ours = loop.collector.store(now, layout, positions, velocities, efforts)
         except JointStateError as error:
             self._runner.reject('joint_states', error)
@@ -118,9 +118,12 @@ class Inputs:
         longest = collector.delay + _RISE_OF_DELAY * min(now - self._last_state, _LONGEST_RISE)
         collector.delay = min(age, longest) if 0.0 <= age <= _OLDEST else 0.0
 
-    def _measured_efforts(self, layout: Layout, measured: Floats) -> Floats | tuple[()]:
-        """Return the measured efforts, which may be NaN, or () if no output needs efforts."""
-        if not (self._runner.outputs.uses_measured_efforts and layout.places.size):
+    def _measured_efforts(
+        self, loop: ControlLoop, layout: Layout, measured: Floats
+    ) -> Floats | tuple[()]:
+        """Return the measured efforts, which may be NaN, or () if nothing needs efforts."""
+        are_used = self._runner.outputs.uses_measured_efforts or loop.has_contact_limits
+        if not (are_used and layout.places.size):
             return ()
         count = len(layout.names)
         if len(measured) == count:

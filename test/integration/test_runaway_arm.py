@@ -1,13 +1,13 @@
 """The node, as a process, stops an arm that runs away, until it is enabled again."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT
-from robot_side import ZERO
+from robot_side import LATCHED, ZERO
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
 from test_soft_stop import run_moving_arm
 
@@ -45,17 +45,41 @@ def test_a_driver_whose_states_arrive_late_stops_the_arm(run_node, robot):
     )
 
 
-def test_commands_in_another_order_stop_the_arm(run_program, run_node, robot):
-    """The simulated robot gets the commands in alphabetical order."""
-    pytest.importorskip('mujoco')
-    order = np.argsort(JOINTS)
+def test_an_arm_floats_after_a_contact_until_it_is_enabled(run_node, robot, wait_for_status):
+    zeros = np.zeros(len(JOINTS))
+    held = InverseDynamics(load_urdf(ARM)).gravity_efforts(zeros)
+    robot.publish_state(JOINTS, zeros, zeros, held)
+    limits = {'contact_limits': 5.0, 'state_timeout': 0.5, 'start_ramp': 0.1}
+    node = run_node(robot_description_file=str(ARM), mode='joint_impedance', **limits)
+    holding = 'holding position: no reference'
+    robot.wait_for_text(node, holding)
+    robot.publish_state(JOINTS, zeros, zeros, held + 7.0)
+    words = 'floating after a contact at '
+    robot.wait_for_text(node, words)
+    wait_for_status('loop', DiagnosticStatus.WARN, words)
+    robot.publish_state(JOINTS, zeros, zeros, held)
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=True)).success
+    robot.wait_until(lambda: node.output.count(holding) == 2, 'the end of the contact')
+
+
+def relay_commands(robot, faulty='', order=slice(None)):
+    """Pass commands on to the simulated robot, with a wrong sign or in another order."""
+    factor = np.where(np.array(JOINTS) == faulty, -1.0, 1.0)
     relay = robot.node.create_publisher(Float64MultiArray, 'relay/commands', 10)
     robot.node.create_subscription(
         Float64MultiArray,
         'inverse_dynamics/commands',
-        lambda m: relay.publish(Float64MultiArray(data=np.array(m.data)[order].tolist())),
+        lambda m: relay.publish(Float64MultiArray(data=(factor * m.data)[order].tolist())),
         10,
     )
+
+
+@pytest.mark.parametrize('fault', ['sign', 'order'])
+def test_wrong_commands_stop_the_arm(run_program, run_node, robot, fault):
+    """One command with the wrong sign, and commands in alphabetical order."""
+    pytest.importorskip('mujoco')
+    faults = {'sign': {'faulty': 'elbow'}, 'order': {'order': np.argsort(JOINTS)}}
+    relay_commands(robot, **faults[fault])
     states = robot.listen(JointState, 'joint_states')
     run_program(*SIMULATE)
     robot.wait_until(lambda: states, 'the simulated robot')
@@ -63,3 +87,22 @@ def test_commands_in_another_order_stop_the_arm(run_program, run_node, robot):
     robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
     robot.wait_for_text(node, ': stopped: ')
     robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+
+
+def test_damping_that_drives_the_base_yaw_is_stopped(run_program, run_node, robot):
+    """The yaw carries no weight, so that a wrong sign shows only in motion."""
+    pytest.importorskip('mujoco')
+    relay_commands(robot, JOINTS[0])
+    held, states = [], robot.listen(JointState, 'joint_states')
+    robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
+    parameters = {'start_ramp': 0.1, 'state_timeout': 0.5, 'stop_damping': 50.0}
+    run_program(*SIMULATE)
+    node = run_node(robot_description_file=str(ARM), **parameters)
+    robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+    robot.wait_for_text(node, ': stopped: ')
+    robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
+    # The yaw, which gravity does not move, drives the other joints too.
+    yaw = [state.velocity[state.name.index(JOINTS[0])] for state in states]
+    assert np.abs(yaw).max() > 0.3
+    assert ' moved at ' in node.output.partition(': stopped: ')[2]
