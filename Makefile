@@ -30,7 +30,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-oldest lint bench bench-loop bench-following storm soak network-faults \
+.PHONY: demo test test-all test-oldest lint bench bench-loop bench-following bench-tool-wrench storm soak network-faults \
     mutation parameters pictures doc release clean
 
 demo: $(VENV)/demo.done
@@ -104,6 +104,9 @@ bench-loop: $(VENV)/test.done
 # Follows trajectories with simulated arms; ARGS="'3 points'" runs the scenarios with this name.
 bench-following: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.following --doc doc/evidence $(ARGS)
+
+bench-tool-wrench: $(VENV)/test.done
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.tool_wrench --doc doc/evidence $(ARGS)
 
 # Sends a million messages, most of them invalid; ARGS='--messages 10000000' sends more.
 storm: $(VENV)/test.done

@@ -6,6 +6,7 @@ from robot_files import ROOT, STANFORD
 import yaml
 
 CONFIG = ROOT / 'config'
+MOVEIT = CONFIG / 'moveit_controllers.yaml'
 PRESETS = sorted((CONFIG / 'robots').glob('*.yaml'))
 SEVEN_DOF = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 
@@ -17,7 +18,7 @@ def parameters(path):
 @pytest.mark.parametrize(
     'path',
     [
-        *sorted(CONFIG.glob('*.yaml')),
+        *sorted(set(CONFIG.glob('*.yaml')) - {MOVEIT}),
         *(pytest.param(path, marks=pytest.mark.long) for path in PRESETS),
     ],
     ids=lambda path: path.stem,
@@ -38,3 +39,14 @@ def test_every_value_is_used_under_any_node_name(run_node, robot, path, tmp_path
     robot.wait_for_text(node, f"robot '{arm.name}'")
     robot.wait_until(lambda: robot.get_state() == 'active', 'active')
     assert {name: robot.get_parameter(name) for name in given} == given
+
+
+def test_moveit_finds_the_action_of_the_node():
+    from inverse_dynamics_node.node.follow_action import NAME
+
+    manager = yaml.safe_load(MOVEIT.read_text())
+    controllers = manager['moveit_simple_controller_manager']
+    (name,) = controllers['controller_names']
+    assert name == 'inverse_dynamics'  # the default name of the node
+    assert f'~/{controllers[name]["action_ns"]}' == NAME
+    assert controllers[name]['joints'] == list(load_urdf(STANFORD).joint_names)

@@ -15,8 +15,6 @@ import sys
 import time
 
 from fork_server import SERVER
-from inverse_dynamics_node import InverseDynamics, load_urdf
-import numpy as np
 import pytest
 import rclpy
 from robot_files import ROOT, STANFORD
@@ -25,7 +23,6 @@ import ros2
 pytest.importorskip('mujoco')
 pytest.importorskip('matplotlib')
 from rclpy.signals import SignalHandlerOptions
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 pytestmark = pytest.mark.real_time
 FIRST_HOUR, ROBOTS = ((ROOT / 'doc' / name).read_text() for name in ('first_hour.md', 'robots.md'))
@@ -187,28 +184,6 @@ def test_every_command_runs_and_prints_what_the_page_shows(session):
             session.stop('python')  # prints the errors so far
     assert ran > 20
     assert 'Traceback' not in session.log.read_text()
-
-
-def test_python_block_fills_a_trajectory_with_efforts(tmp_path, monkeypatch):
-    (code,) = re.findall(r'```python\n(.*?)```', ROBOTS, re.S)
-    (tmp_path / 'my_arm.urdf').write_text(STANFORD.read_text())
-    monkeypatch.chdir(tmp_path)
-    names = {}
-    exec(code, names)
-    robot = load_urdf(STANFORD)
-    rest = dict(zip(robot.joint_names, [0.3, 0.8, 0.5, -0.4, 0.6, 0.2], strict=True))
-    point = JointTrajectoryPoint(
-        positions=[0.1, 0.7], velocities=[0.5, 0.4], accelerations=[1.0, 2.0]
-    )
-    trajectory = JointTrajectory(joint_names=['joint_4', 'joint_2'], points=[point, point])
-    names['add_efforts'](trajectory, rest)
-    q, qd, qdd = np.array([list(rest.values()), np.zeros(6), np.zeros(6)])
-    for vector, (fourth, second) in ((q, (0.1, 0.7)), (qd, (0.5, 0.4)), (qdd, (1.0, 2.0))):
-        vector[3], vector[1] = fourth, second
-    expected = InverseDynamics(robot).efforts(q, qd, qdd)[[3, 1]]
-    assert np.abs(expected).min() > 0.01
-    for point in trajectory.points:
-        assert list(point.effort) == pytest.approx(list(expected))
 
 
 def test_blocks_that_are_not_run_name_the_software_that_they_need():
