@@ -108,7 +108,10 @@ def describe_node(
 def _values_of_node(around: Surroundings, monitor: Monitor) -> dict[str, dict[str, Any]]:
     """Return the values of each part about the node and what surrounds it."""
     others, clock = around.others, around.clock
-    controllers = [f'{each.name}: {", ".join(each.joints)}' for each in around.controllers]
+    controllers = [
+        f'{each.name}{f" ({each.state})" * bool(each.state)}: {", ".join(each.joints)}'
+        for each in around.controllers
+    ]
     record: dict[str, dict[str, Any]] = {
         'loop': {
             'state': around.state,
@@ -228,6 +231,15 @@ def _table_of_node(loop: ControlLoop | None, around: Surroundings, monitor: Moni
         ('messages', WARN, rejections if monitor.rejections else ''),
         ('other nodes', OK, 'no other node publishes the commands or has this name'),
         ('other nodes', ERROR, around.objection),
+        *(
+            (
+                'other nodes',
+                WARN,
+                f'{each.name} is {each.state}: it takes no commands until it is activated',
+            )
+            for each in around.controllers
+            if is_sending and each.state not in ('', 'active')
+        ),
         ('other nodes', WARN, describe_compensation(loop, others.names) if loop else ''),
         ('other nodes', ERROR if is_sending or namesakes else WARN, rivals),
         ('other nodes', ERROR, namesakes),

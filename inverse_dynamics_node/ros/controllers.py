@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 import time
 from typing import Any, NamedTuple
 
@@ -11,10 +12,17 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import parameter_value_to_python
 
 from .graph import subscribers_by_endpoint
+from .middleware import LATCHED
+
+try:
+    from controller_manager_msgs.msg import ControllerManagerActivity
+except ImportError:  # without ros2_control, there is nobody to ask
+    ControllerManagerActivity = None
 
 _PERIOD = 1.0  # [s]; between searches for subscribers, unless their number changes
 _REPETITION = 2.0  # [s]; a request or its answer may be lost
 _MOST_REQUESTS = 5  # to a subscriber that does not answer
+_ACTIVITY = 'controller_manager_msgs/msg/ControllerManagerActivity'
 _JOINTS, _INTERFACE = 'joints', 'interface_name'  # parameters of controllers of ros2_control
 
 
@@ -29,6 +37,8 @@ class Controller(NamedTuple):
     """The command interface that it writes; '' if unknown."""
     is_late: bool
     """Whether it has answered only after the request was sent again."""
+    state: str = ''
+    """Its lifecycle state, such as inactive; '' if no controller manager says it."""
 
 
 class Controllers:
@@ -37,7 +47,8 @@ class Controllers:
 
     A controller is a node with the parameter ``joints``, a list of names. Its answer arrives while
     the executor spins: no call waits for it. A subscriber that does not answer is asked a few
-    times. A node that subscribes again is asked again.
+    times. A node that subscribes again is asked again. A controller manager that publishes its
+    activity says which controllers are inactive.
 
     `commands` is the publisher of the commands.
     """
@@ -46,6 +57,8 @@ class Controllers:
         self._node, self._commands = node, commands
         self._interviews: dict[bytes, _Interview] = {}  # by the identifier of the subscription
         self._count, self._next_search = 0, 0.0
+        self._managers: set[str] = set()  # topics with the activity of controller managers
+        self._states: dict[str, str] = {}  # of controllers, by name
 
     def poll(self) -> list[Controller]:
         """Look for new subscribers, and return the controllers that have answered since."""
@@ -60,7 +73,11 @@ class Controllers:
     def known(self) -> list[Controller]:
         """The controllers that have answered, and still subscribe to the commands."""
         found = (interview.controller for interview in self._interviews.values())
-        return [controller for controller in found if controller is not None]
+        return [
+            each._replace(state=self._states.get(each.name.rpartition('/')[2], ''))
+            for each in found
+            if each is not None
+        ]
 
     def _search(self) -> None:
         names = subscribers_by_endpoint(self._node, self._commands)
@@ -69,6 +86,20 @@ class Controllers:
         for endpoint, name in names.items():
             if endpoint not in self._interviews:
                 self._interviews[endpoint] = _Interview(self._node, name)
+        if ControllerManagerActivity is not None and names:
+            self._find_managers()
+
+    def _find_managers(self) -> None:
+        for topic, types in self._node.get_topic_names_and_types():
+            if _ACTIVITY in types and topic not in self._managers:
+                self._managers.add(topic)
+                with suppress(RuntimeError):  # the security policy may forbid it
+                    self._node.create_subscription(
+                        ControllerManagerActivity, topic, self._on_activity, LATCHED
+                    )
+
+    def _on_activity(self, message: Any) -> None:
+        self._states.update({each.name: each.state.label for each in message.controllers})
 
 
 class _Interview:

@@ -7,10 +7,11 @@ import subprocess
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from fork_server import SERVER
+from lifecycle_msgs.msg import State
 from node_process import PATIENCE
 import pytest
 from robot_files import ROOT
-from robot_side import HOLD, NAMES, PATIENT, Q, ZERO
+from robot_side import HOLD, LATCHED, NAMES, PATIENT, Q, ZERO
 from stalls import StallMeter
 from std_srvs.srv import SetBool
 
@@ -129,3 +130,25 @@ def test_other_subscribers_do_not_interrupt_the_commands(
     ]
     assert len(worst) > 4
     assert max(worst) <= LONGEST_GAP + stalls.longest
+
+
+def test_an_inactive_controller_is_named(run_node, robot, domain_id, wait_for_status):
+    reason = 'controller_manager_msgs is not on the Python package index'
+    messages = pytest.importorskip('controller_manager_msgs.msg', reason=reason)
+    activity = robot.node.create_publisher(
+        messages.ControllerManagerActivity, 'controller_manager/activity', LATCHED
+    )
+
+    def publish(label):
+        state = messages.NamedLifecycleState(name='fec', state=State(label=label))
+        activity.publish(messages.ControllerManagerActivity(controllers=[state]))
+
+    publish('inactive')
+    run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, ZERO)
+    with controller(domain_id, NAMES):
+        words = '/fec is inactive: it takes no commands until it is activated'
+        values = wait_for_status('other nodes', DiagnosticStatus.WARN, words)
+        assert values['joints of the controllers'] == f'/fec (inactive): {", ".join(NAMES)}'
+        publish('active')
+        wait_for_status('other nodes', OK, '')
