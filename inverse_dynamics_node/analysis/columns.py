@@ -79,6 +79,20 @@ def body_columns(
     return np.concatenate(parts)
 
 
+def usual_errors(robot: RobotModel, relative: float) -> Floats:
+    """
+    Return the error of each inertial parameter of links that are wrong by a relative error.
+
+    The result has the shape (bodies except the base, 10).
+
+    """
+    mass = np.maximum(robot.mass[1:], 1e-9)
+    gyration = np.trace(robot.inertia[1:], axis1=1, axis2=2) / mass
+    size = np.sqrt(np.sum(robot.com[1:] ** 2, axis=1) + 0.5 * gyration)
+    powers = size[:, None] ** np.repeat([0, 1, 2], [1, 3, 6])
+    return np.asarray(relative * mass[:, None] * powers)
+
+
 def payload_columns(
     robot: RobotModel, gravity: Floats, link: str, states: tuple[Floats, Floats, Floats]
 ) -> Floats:

@@ -7,8 +7,9 @@ The efforts are linear in the ten inertial parameters of the payload, which a le
 determines.
 
 What does not cancel is unknown too: changes of friction, offsets and gains between the runs, and
-the gains of the measured efforts. The gains have usual errors. The efforts of the empty arm,
-divided by those of its description, show how wrong the gains may be.
+the gains of the measured efforts. Joints that disagree about the payload show how wrong the gains
+are. If all gains are wrong by the same factor, the efforts of the empty arm differ from those of
+its description by this factor.
 """
 
 from __future__ import annotations
@@ -30,21 +31,23 @@ from ..robot.rigid_body import (
     rigid_body,
     RigidBody,
 )
-from .columns import body_columns, moment_matrices, payload_columns, SECOND_MOMENTS
+from .columns import (
+    body_columns,
+    moment_matrices,
+    payload_columns,
+    SECOND_MOMENTS,
+    usual_errors,
+)
 from .identification.preparation import measured_joints, prepare_all
-from .recordings.resampling import pieces, Resampler, resampler
+from .recordings.resampling import Resampler, resampler
 from .recordings.signals import Motion, Recording
 
-STILL = 0.01  # [rad/s or m/s]; the arm rests while all joints are slower
-LEAST_REST = 0.5  # [s]; shortest rest in a pose
-SETTLING = 0.2  # [s]; removed at both ends of a rest
-RESTS = 1.0 / 3.0  # poses are used if the arm rests for a larger fraction of both runs
 NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between matching states
 LEAST_MATCHED = 0.5  # smallest fraction of the loaded run with a match in the empty run
 WINDOW = 0.15  # [s]; smoothing window
 WIDTH = 0.05  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 DRIFT = 0.01  # relative change of the gain of each measured effort between the runs
-GAIN = 0.01  # relative error of these gains, if the empty arm agrees with its description
+GAIN = 0.01  # relative error of these gains, unless the joints disagree
 LINK_ERROR = 0.15  # relative error of the masses and mass distributions of links
 RADIUS = 0.05  # [m]; assumed radius of gyration of a payload
 REACH = 0.5  # [m]; expected distance of the centre of mass from the origin of the link
@@ -53,8 +56,8 @@ MOST_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is unkno
 CERTAIN = 3.0  # a payload is certain if its mass exceeds this many standard errors
 LIGHTEST = 0.1  # [kg]; lower bound of the mass in the expected second moments
 HEAVIEST = 1e3  # [kg]; expected size of the mass
-LEAST_NOISE = 0.05  # lower bound of relative squared residuals, as a fraction of the median
-_ROUNDS = 6
+_FIRST_GAIN = 0.1  # assumed error of the gains in the first round
+_ROUNDS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +86,6 @@ class PayloadEstimate:
     """Measured efforts minus those of arm and friction, shape (samples, joints) [N m or N]."""
     fitted: Floats
     """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
-    duration: float
-    """Time from the first to the last used sample of the loaded run [s]."""
-    poses: int
-    """Number of poses that were used; 0 if a motion was used instead."""
     matched: float
     """Fraction of the loaded run that matches the empty run."""
 
@@ -155,30 +154,22 @@ def measure_payload(
             'joint moves'
         )
     joints = measured_joints(robot, [loaded, empty])
-    motions = [run.motion for run in prepare_all(robot, [loaded, empty], joints)]
+    motion, other = (run.motion for run in prepare_all(robot, [loaded, empty], joints))
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
-    rests = [_rests(motion) for motion in motions]
-    is_still = all(
-        sum(each.stop - each.start for each in own) > RESTS * len(motion.times)
-        for motion, own in zip(motions, rests, strict=True)
-    )
-    if is_still:
-        motions = list(map(_poses, motions, rests))
-    smooth = None if is_still else resampler(motions[0], WINDOW)
-    partner, is_near = _partner(robot, *motions)
-    matched = float(np.mean(is_near))
-    if smooth is not None:
-        is_near = smooth(is_near.astype(float)) > 1.0 - 1e-6
+    smooth = resampler(motion, WINDOW)
+    partner, is_near = _partner(robot, motion, other)
+    is_matched = smooth(is_near.astype(float)) > 1.0 - 1e-6
     with_load, without = (
-        _rows(dynamics, link, joints, motion, smooth).where(is_near)
-        for motion in (motions[0], partner)
+        _rows(dynamics, link, joints, run, smooth).where(is_matched) for run in (motion, partner)
     )
-    gains = _Gains(1.0, math.nan, 0.0, 0.0)
+    fit = _fit(with_load, without)
+    ratio, ratio_error, common = 1.0, math.nan, 0.0
     if has_gravity:
-        gains = _gains(without, _link_variances(dynamics, joints, partner))
-    fit = _fit(with_load, without, gains)
-    errors = np.sqrt(_variances(fit) + np.array([0.0, 1.0, 1.0, 1.0]) * LEAST_COM_ERROR**2)
+        ratio, ratio_error, weights = _ratio(without, _link_errors(dynamics, joints, partner))
+        expected = ratio_error**2 + fit.gain_error**2 * float(weights @ weights)
+        common = max((ratio - 1.0) ** 2 - expected, 0.0)  # squared error of all gains
+    errors = _errors(fit.x, fit.covariance + common * np.outer(fit.x, fit.x))
     fitted, moments = with_load.payload @ fit.x, moment_matrices(fit.x)
     return PayloadEstimate(
         link,
@@ -186,46 +177,14 @@ def measure_payload(
         float(errors[0]),
         errors[1:],
         bool(np.sqrt(np.trace(fit.covariance[4:7, 4:7])) < 0.5 * _second_moment(fit.x)),
-        gains.ratio,
-        gains.error,
+        ratio,
+        ratio_error,
         tuple(robot.joint_names[j] for j in joints),
         with_load.times,
         fitted + fit.residual,
         fitted,
-        float(np.ptp(with_load.times)),
-        len(with_load.times) if is_still else 0,
-        matched,
+        float(np.mean(is_near)),
     )
-
-
-# ---- States --------------------------------------------------------------------------------
-
-
-def _rests(motion: Motion) -> list[slice]:
-    """Return the intervals in which the arm rests."""
-    is_still: Booleans = np.asarray((np.abs(motion.qd) < STILL).all(axis=1))
-    found = []
-    for begin, end in pieces(motion.times):
-        steps = np.diff(is_still[begin:end].astype(int), prepend=0, append=0)
-        edges = np.flatnonzero(steps) + begin
-        trim = round(SETTLING / motion.period)
-        least = round(LEAST_REST / motion.period)
-        found += [
-            slice(int(a) + trim, int(b) - trim)
-            for a, b in zip(edges[::2], edges[1::2], strict=True)
-            if b - a >= least + 2 * trim
-        ]
-    return found
-
-
-def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
-    """Return the mean positions and efforts in each interval at rest."""
-    times, q, efforts = (
-        np.array([np.mean(signal[each], axis=0) for each in rests])
-        for signal in (motion.times, motion.q, motion.efforts)
-    )
-    zeros = np.zeros_like(q)
-    return motion._replace(times=times, q=q, qd=zeros, qdd=zeros, efforts=efforts)
 
 
 def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, Booleans]:
@@ -249,22 +208,17 @@ def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, 
     return empty._replace(times=loaded.times, q=q, qd=qd, qdd=qdd, efforts=efforts), is_near
 
 
-# ---- Rows ----------------------------------------------------------------------------------
-
-
 def _rows(
     dynamics: InverseDynamics,
     link: str,
     joints: Sequence[int],
     run: Motion,
-    smooth: Resampler | None,
+    smooth: Resampler,
 ) -> _Rows:
-    """Build the rows of a run; states at rest are not smoothed."""
+    """Build the rows of a run."""
     states = run.q, run.qd, run.qdd
     payload = payload_columns(dynamics.robot, dynamics.gravity, link, states)[:, joints]
     arm, ones = dynamics.efforts(*states)[:, joints], np.ones_like(run.efforts)
-    if smooth is None:  # at rest, the offset contains the friction
-        return _Rows(run.times, payload, ones[..., None], arm, run.efforts)
     place = (run.times - run.times[0]) / float(np.ptp(run.times))  # 0 to 1
     direction = np.tanh(run.qd[:, joints] / WIDTH)
     continuous = [ones, ones * place[:, None], run.qd[:, joints], run.qdd[:, joints]]
@@ -275,60 +229,48 @@ def _rows(
     )
 
 
-# ---- Gains ---------------------------------------------------------------------------------
+# ---- The empty arm -------------------------------------------------------------------------
 
 
-class _Gains(NamedTuple):
-    """How wrong the gains of the measured efforts may be."""
+def _ratio(empty: _Rows, link_errors: Floats) -> tuple[float, float, Floats]:
+    """
+    Compare the efforts of the empty arm with the model.
 
-    ratio: float
-    """Measured efforts of the empty arm divided by modelled ones, over all joints."""
-    error: float
-    """Standard error of the ratio."""
-    common: float
-    """Relative error of all gains that the errors of the links do not explain."""
-    spread: float
-    """Standard deviation of the ratios of single joints."""
-
-
-def _gains(empty: _Rows, link_variances: Floats) -> _Gains:
-    """Compare the efforts of the empty arm with the model."""
-    ratios, variances = np.ones((2, len(link_variances)))
+    Returns the ratio of measured to modelled efforts, its standard error, and the weight of each
+    joint in the ratio, shape (m,).
+    """
+    ratios, noises = np.ones((2, len(link_errors)))
     for j in range(len(ratios)):
         columns = np.column_stack([empty.arm[:, j], empty.terms[:, j]])
         products = columns.T @ columns
         inverse = np.linalg.inv(products + 1e-9 * np.diag(np.diagonal(products) + 1e-12))
         solution = inverse @ (columns.T @ empty.efforts[:, j])
-        residual = empty.efforts[:, j] - columns @ solution
-        noise = _variance_of_noise(residual, columns.shape[1])
-        ratios[j], variances[j] = solution[0], noise * inverse[0, 0] + link_variances[j]
-    weights = 1.0 / variances / np.sum(1.0 / variances)
-    ratio, variance = float(weights @ ratios), float(1.0 / np.sum(1.0 / variances))
-    common = max((ratio - 1.0) ** 2 - variance, 0.0)
-    spread = float(weights @ (ratios - ratio) ** 2)
-    return _Gains(ratio, variance**0.5, common**0.5, spread**0.5)
+        noise = _variance_of_noise(empty.efforts[:, j] - columns @ solution, columns.shape[1])
+        ratios[j], noises[j] = solution[0], noise * inverse[0, 0]
+    covariance = link_errors @ link_errors.T + np.diag(noises)
+    weights = np.linalg.solve(covariance, np.ones(len(ratios)))
+    variance = 1.0 / float(np.sum(weights))
+    weights = variance * weights
+    return float(weights @ ratios), variance**0.5, weights
 
 
-def _link_variances(dynamics: InverseDynamics, joints: Sequence[int], run: Motion) -> Floats:
-    """Return the variance of the ratio of each joint due to the usual errors of the links."""
+def _link_errors(dynamics: InverseDynamics, joints: Sequence[int], run: Motion) -> Floats:
+    """Return how much the usual error of each parameter of a link changes the ratio of a joint."""
     robot, states = dynamics.robot, (run.q, run.qd, run.qdd)
-    mass = np.maximum(robot.mass[1:], 1e-9)
-    gyration = np.trace(robot.inertia[1:], axis1=1, axis2=2) / mass
-    size = np.sqrt(np.sum(robot.com[1:] ** 2, axis=1) + 0.5 * gyration)
-    powers = size[:, None] ** np.repeat([0, 1, 2], [1, 3, 6])
-    errors = (LINK_ERROR * mass[:, None] * powers).ravel()
     columns = body_columns(dynamics, states, range(1, len(robot.mass)))[:, joints]
     arm = dynamics.efforts(*states)[:, joints]
     arm = arm - arm.mean(axis=0)  # an offset contains the mean
     shares = np.einsum('kju,kj->ju', columns, arm) / (np.sum(arm**2, axis=0)[:, None] + 1e-12)
-    return np.asarray(np.sum((shares * errors) ** 2, axis=1))
+    return np.asarray(shares * usual_errors(robot, LINK_ERROR).ravel())
 
 
 def _variance_of_noise(residual: Floats, unknowns: int) -> float:
     """Return the variance of correlated residuals, per independent row."""
-    lags = np.correlate(residual, residual, 'full')[len(residual) - 1 :]
-    positive = np.cumprod(lags > 0.0) * lags
-    return float(2.0 * positive.sum() - lags[0]) / max(len(residual) - unknowns, 1)
+    count = len(residual)
+    lags = np.correlate(residual, residual, 'full')[count - 1 :]
+    total = float(2.0 * np.sum(np.cumprod(lags > 0.0) * lags) - lags[0])
+    correlated = total / (lags[0] + 1e-12)  # rows per independent row
+    return float(total / max(count - unknowns * correlated, 0.1 * count)) + 1e-12
 
 
 # ---- The fit -------------------------------------------------------------------------------
@@ -341,18 +283,25 @@ class _Fit(NamedTuple):
     """Mass, first moments and second moments as in `payload_columns`, shape (10,)."""
     covariance: Floats
     """Covariance of x, shape (10, 10)."""
+    gain_error: float
+    """Relative error of the gain of each joint."""
     residual: Floats
     """Efforts that the fit does not explain, shape (rows, joints)."""
 
 
-def _fit(loaded: _Rows, empty: _Rows, gains: _Gains) -> _Fit:
+def _fit(loaded: _Rows, empty: _Rows) -> _Fit:
     """
     Fit the payload to the difference of the runs.
 
     The unknowns are ten parameters of the payload, and for each joint: the change of the gain
     between the runs, the gain of the payload's efforts, and the terms. The columns of the gains
-    contain the fitted efforts of the round before. The fit assumes good gains. Its covariance
-    includes what the wrong gains that the empty run shows would change.
+    contain the fitted efforts of the round before. The usual error of the gains follows from the
+    fitted gains of the round before, as in the evidence approximation [1]_.
+
+    References
+    ----------
+    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992.
+
     """
     target = loaded.efforts - loaded.arm - (empty.efforts - empty.arm)
     terms = loaded.terms.copy()
@@ -362,13 +311,15 @@ def _fit(loaded: _Rows, empty: _Rows, gains: _Gains) -> _Fit:
     own = np.zeros((count, m, m, 2 + t))
     own[:, joint, joint, 2:] = terms
     usual = np.array([HEAVIEST] * PARAMETERS + [DRIFT, GAIN, *[math.inf] * t] * m)
+    gains = PARAMETERS + 1 + (2 + t) * joint
+    usual[gains] = _FIRST_GAIN
     x, residual = np.zeros(len(usual)), target
     for _ in range(_ROUNDS):
         of_payload = loaded.payload @ x[:PARAMETERS]
         own[:, joint, joint, 0] = loaded.arm + of_payload
         own[:, joint, joint, 1] = of_payload
         table = np.concatenate([loaded.payload, own.reshape(count, m, -1)], -1)
-        weights = 1.0 / _noise(residual, target, t)
+        weights = [1.0 / _variance_of_noise(each, t) for each in residual.T]
         matrix = sum(w * table[:, j].T @ table[:, j] for j, w in enumerate(weights))
         vector = sum(w * table[:, j].T @ target[:, j] for j, w in enumerate(weights))
         mass, moment = max(x[0], LIGHTEST), _second_moment(x)
@@ -382,23 +333,10 @@ def _fit(loaded: _Rows, empty: _Rows, gains: _Gains) -> _Fit:
         covariance = np.linalg.inv(matrix + np.diag(precision))
         x = covariance @ (vector + usual**-2 * mean)
         residual = target - table @ x
-    own_share = np.einsum('kju,kj,j->uj', table, of_payload, weights)
-    changes = np.column_stack([(gains.ratio - 1.0) * x, gains.spread * covariance @ own_share])[
-        :PARAMETERS
-    ]
-    covariance = covariance[:PARAMETERS, :PARAMETERS] + changes @ changes.T
-    return _Fit(x[:PARAMETERS], covariance, residual)
-
-
-def _noise(residual: Floats, target: Floats, terms: int) -> Floats:
-    """Return the variance of the noise of each joint, shape (joints,)."""
-    if terms > 1:
-        return np.array([_variance_of_noise(each, terms) for each in residual.T]) + 1e-12
-    # With few poses, a joint may fit well by chance, so the variance needs a lower bound. The
-    # bound is relative to the effort, because a common bound exceeded the noise of the wrist.
-    squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
-    size = np.mean(target**2, axis=0) + 1e-12
-    return np.asarray(squares + LEAST_NOISE * np.median(squares / size) * size + 1e-12)
+        known = m - np.sum(np.diagonal(covariance)[gains] / usual[gains] ** 2)
+        usual[gains] = np.sqrt((GAIN**2 + np.sum(x[gains] ** 2)) / max(known - 1.0, 1.0))
+    inner = slice(PARAMETERS)
+    return _Fit(x[inner], covariance[inner, inner], float(usual[gains[0]]), residual)
 
 
 def _second_moment(x: Floats) -> float:
@@ -406,10 +344,11 @@ def _second_moment(x: Floats) -> float:
     return float(max(x[0], LIGHTEST) * RADIUS**2)
 
 
-def _variances(fit: _Fit) -> Floats:
-    """Return the variances of mass and centre of mass, shape (4,)."""
-    mass = fit.x[0] if abs(fit.x[0]) > 1e-6 else 1e-6
+def _errors(x: Floats, covariance: Floats) -> Floats:
+    """Return the standard errors of mass and centre of mass, shape (4,)."""
+    mass = x[0] if abs(x[0]) > 1e-6 else 1e-6
     slope = np.eye(4) / mass
     slope[0, 0] = 1.0
-    slope[1:, 0] = -fit.x[1:4] / mass**2
-    return np.asarray(np.diagonal(slope @ fit.covariance[:4, :4] @ slope.T).copy())
+    slope[1:, 0] = -x[1:4] / mass**2
+    variances = np.diagonal(slope @ covariance[:4, :4] @ slope.T)
+    return np.asarray(np.sqrt(variances + LEAST_COM_ERROR**2 * (np.arange(4) > 0)))

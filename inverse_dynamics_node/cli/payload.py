@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-import json
 from pathlib import Path
 import sys
+import time
 from typing import TYPE_CHECKING
 
 from ..analysis.payload import measure_payload, PayloadEstimate
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
-from ..errors import ConfigurationError, escaped, RecordingError
+from ..errors import escaped
 from ..report.payload_report import (
     as_json,
-    inertia_table,
     inertial_element,
     payload_table,
-    topic_command,
     verdict,
 )
 from ..robot.kinematics import last_link
@@ -29,6 +27,7 @@ from .console import (
     collected_signals,
     output_path,
     OutputError,
+    print_json,
     progress,
     say,
     show,
@@ -39,7 +38,6 @@ from .recordings import measured_efforts, read_recording, reported_convention, s
 
 if TYPE_CHECKING:
     from ..ros.diagnostics import NodeStatus
-    from ..ros.observer import Observer
 
 EPILOG = """\
 examples:
@@ -70,8 +68,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = arguments.new_parser(
         'payload',
         'Measure the mass and centre of mass of a payload from two recordings of the same motion, '
-        'with and without the payload. The command prints the payload as a message for the node '
-        'and as an <inertial> element.',
+        'with and without the payload.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -98,7 +95,7 @@ def make_parser() -> argparse.ArgumentParser:
     arguments.add_link(parser)
     arguments.add_gravity(parser)
     arguments.add_node_parameters(parser)
-    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+    arguments.add_json(parser)
     parser.add_argument(
         '--apply',
         nargs='?',
@@ -121,10 +118,6 @@ def run(options: argparse.Namespace) -> int:
     _check_files(options)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
-    if not robot.link_body[robot.link_index(link)]:
-        raise ConfigurationError(
-            f"link '{link}' does not move, so no effort shows its payload: choose another --link"
-        )
     gravity = options.gravity
     convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
     if options.empty is not None:
@@ -145,13 +138,12 @@ def run(options: argparse.Namespace) -> int:
     )
     is_shown = result.is_certain and not result.unknown
     if options.json:
-        print(json.dumps(as_json(result)))
+        print_json(as_json(result))
     else:
         say(verdict(result))
         print()
-        show(inertia_table(result), payload_table(result, robot))
+        show(payload_table(result, robot))
         if is_shown:
-            print(escaped(topic_command(result)))
             print(escaped(inertial_element(result)))
     if options.picture:
         title = f'{robot.name}: {options.loaded.name}'
@@ -170,24 +162,20 @@ def _check_files(options: argparse.Namespace) -> None:
             '--empty is missing: record the same motion without the payload. With a single '
             'recording, `inverse_dynamics compare` names a payload'
         )
-    inputs = [options.urdf, options.empty, options.node_parameters]
-    outputs = {'--picture': options.picture}
-    if options.record is None:
-        inputs.append(options.loaded)
-    else:
+    inputs = [options.urdf, options.empty, options.node_parameters, options.loaded]
+    check_outputs([*filter(None, inputs)], {'--picture': options.picture}, options.force)
+    if options.record is not None:
         if options.loaded.suffix != '.csv':
             raise OutputError(f"LOADED is '{options.loaded}', but --record writes a .csv file")
+        if options.loaded.exists():
+            raise OutputError(
+                f'--record {options.loaded} already exists, and --record never replaces a file; '
+                'choose another name'
+            )
         try:
             output_path(str(options.loaded))
         except argparse.ArgumentTypeError as error:
             raise OutputError(str(error)) from None
-        outputs['--record'] = options.loaded
-        if _partial(options.loaded).exists():
-            raise OutputError(
-                f'{_partial(options.loaded)} already exists: another recording writes it, or '
-                'ended early; if no recording runs, remove the file'
-            )
-    check_outputs([*filter(None, inputs)], outputs, options.force)
 
 
 def _record(options: argparse.Namespace, robot: RobotModel) -> NodeStatus:
@@ -199,44 +187,23 @@ def _record(options: argparse.Namespace, robot: RobotModel) -> NodeStatus:
     path, seconds = options.loaded, options.record
     with observing_node(options.ros_arguments) as node:
         observer = Observer(node, choose_node(node, wanted, is_patient=False))
-        recorder = JointStateRecorder(observer)
+        recorder = JointStateRecorder(observer, robot.joint_names)
         with progress(f'waiting for the joint states of {observer.name}'):
-            recorder.wait(robot.joint_names)
-        status = _checked_status(observer, robot)
+            status = recorder.wait()
         text = f'recording {recorder.topic} for {seconds:g} s'
         print(text, file=sys.stderr, flush=True)
-        # A file that exists belongs to another recording, which may still be running.
-        with (
-            _partial(path).open('x', newline='', encoding='utf-8') as file,
-            collected_signals() as signals,
-            progress(text) as report,
-        ):
-            reason = recorder.record(file, seconds, lambda: bool(signals), report)
-    # A recording that ended early must not replace a complete recording.
-    written = _partial(path) if reason and path.exists() else _partial(path).replace(path)
-    states = f'{recorder.count} joint states in {recorder.duration:.1f} s'
-    print(f'{written}: {states}', file=sys.stderr)
+        began = time.monotonic()
+        with collected_signals() as signals, progress(text) as report:
+
+            def is_done() -> bool:
+                elapsed = time.monotonic() - began
+                report(min(1.0, elapsed / seconds))
+                return bool(signals) or elapsed > seconds
+
+            recorder.record(path, is_done)
+    print(f'{path}: {recorder.count} joint states', file=sys.stderr)
     if signals:
         raise SystemExit(128 + signals[0])
-    if reason:
-        raise RecordingError(f'{written}: {reason}')
-    return status
-
-
-def _partial(path: Path) -> Path:
-    """Return the path that a recording has until it is complete."""
-    return path.with_name(f'{path.stem}_partial.csv')
-
-
-def _checked_status(observer: Observer, robot: RobotModel) -> NodeStatus:
-    """Return the status of a node; raise ConfigurationError if it uses another description."""
-    status = observer.status
-    joints = status.names('model', 'joints') if status else []
-    if status is None or not set(joints) <= set(robot.joint_names):
-        raise ConfigurationError(
-            f'{observer.name} uses another robot description, with joints {", ".join(joints)}; '
-            f'the URDF of the command line has {", ".join(robot.joint_names)}'
-        )
     return status
 
 

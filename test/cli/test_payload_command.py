@@ -1,7 +1,6 @@
 """The command `payload` on simulated recordings."""
 
 import json
-import shlex
 from xml.etree import ElementTree
 
 from inverse_dynamics_node import load_urdf
@@ -11,7 +10,6 @@ from payload_runs import Arm, motion_of, poses_of
 import pytest
 from robot_files import ROOT
 from simulated_runs import write_csv
-import yaml
 
 URDF = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 MASS, COM = 2.0, np.array([0.02, -0.03, 0.07])
@@ -27,29 +25,19 @@ def record(here, motion=motion_of, **options):
         write_csv(here / f'{name}.csv', arm.record(motion, load))
 
 
-def test_prints_a_message_and_an_element_of_the_payload(here, capsys, size_of):
+def test_prints_a_sentence_and_an_element_of_the_payload(here, capsys, size_of):
     record(here, duration=16.0)
     assert main(['payload', *RUNS, '--picture', 'payload.png']) == 0
     text = capsys.readouterr().out
     assert text.startswith("Link 'tool0' carries ")
-    (command,) = (line for line in text.splitlines() if line.startswith('ros2 topic pub'))
-    *start, topic, kind, message = shlex.split(command)
-    assert start == ['ros2', 'topic', 'pub', '--once']
-    assert (topic, kind) == ('/inverse_dynamics/payload', 'geometry_msgs/msg/InertiaStamped')
-    message = yaml.safe_load(message)
-    assert message['header'] == {'frame_id': 'tool0'}
-    inertia = message['inertia']
-    assert inertia.pop('m') == pytest.approx(MASS, rel=0.02)
-    com = inertia.pop('com')
-    np.testing.assert_allclose([com[axis] for axis in 'xyz'], COM, atol=0.005)
-    assert set(inertia) == {'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'}
-    assert min(inertia['ixx'], inertia['iyy'], inertia['izz']) > 0.0
     (element,) = (line for line in text.splitlines() if line.startswith('<inertial>'))
     element = ElementTree.fromstring(element)
     assert float(element.find('mass').get('value')) == pytest.approx(MASS, rel=0.02)
     origin = [float(x) for x in element.find('origin').get('xyz').split()]
     np.testing.assert_allclose(origin, COM, atol=0.005)
-    assert set(element.find('inertia').attrib) == set(inertia)
+    moments = {name: float(text) for name, text in element.find('inertia').attrib.items()}
+    assert set(moments) == {'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'}
+    assert min(moments['ixx'], moments['iyy'], moments['izz']) > 0.0
     assert size_of(here / 'payload.png')[0] == 900
 
 
@@ -64,14 +52,12 @@ def test_prints_json(here, capsys):
     assert 0.9 < report['matched'] <= 1.0
     assert report['ratio'] == pytest.approx(1.0, abs=0.2)
     assert report['ratio_error'] < 0.1
-    assert [joint['name'] for joint in report['joints']] == list(load_urdf(URDF).joint_names)
 
 
 def test_one_pose_shows_the_mass_at_most(here, capsys):
     record(here, poses_of, count=1)
     assert main(['payload', *RUNS, '--apply']) == 3
     text = capsys.readouterr().out
-    assert 'ros2 topic pub' not in text
     assert '<inertial>' not in text
 
 
@@ -87,18 +73,10 @@ def test_a_single_recording_is_refused(here, capsys):
     assert '--empty is missing' in capsys.readouterr().err
 
 
-def test_a_link_that_does_not_move_is_refused(here, capsys):
-    (here / 'loaded.csv').write_text('')
-    run = ['payload', str(URDF), 'loaded.csv', '--empty', 'loaded.csv', '--link', 'base_link']
-    assert main(run) == 1
-    assert "link 'base_link' does not move" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ('arguments', 'words'),
     [
-        ('loaded.csv', '--record loaded.csv already exists'),
-        ('loaded.csv --force --empty loaded.csv', 'loaded.csv is an input, which is never'),
+        ('loaded.csv --force', '--record loaded.csv already exists'),
         ('loaded.mcap', "LOADED is 'loaded.mcap', but --record writes a .csv file"),
         ('nowhere/loaded.csv', "folder 'nowhere' does not exist"),
     ],

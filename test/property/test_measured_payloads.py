@@ -44,16 +44,14 @@ def short_motion(robot, rng):
 
 @pytest.mark.parametrize('motion', [short_motion, poses_of])
 def test_mass_and_centre_of_mass_are_found_within_their_errors(motion):
-    runs = [measured(SEVEN_DOF, 'tool0', seed, motion) for seed in range(3)]
-    errors = np.array([error / [load[1], 1.0, 1.0, 1.0] for error, _, load, _ in runs])
-    assert rms(errors[:, 0]) < 0.02
-    assert rms(errors[:, 1:]) < 0.005
-    for error, standard_error, load, result in runs:
+    for seed in range(3):
+        error, standard_error, load, result = measured(SEVEN_DOF, 'tool0', seed, motion)
+        assert abs(error[0]) < 0.02 * load[1]
+        assert np.abs(error[1:]).max() < 0.005
         assert (np.abs(error) < 3.0 * standard_error).all()
-        assert standard_error[0] < 0.05 * load[1]
+        assert standard_error[0] < 0.02 * load[1]
         assert result.is_certain
         assert result.unknown == ()
-        assert result.poses == (7 if motion is poses_of else 0)
         assert np.linalg.eigvalsh(result.body.inertia)[0] > 0.0
 
 
@@ -117,21 +115,6 @@ def test_a_common_error_of_the_gains_is_stated_and_is_in_the_error(gain):
     assert result.is_scaled == (gain != 1.0)
     assert abs(result.body.mass - 2.0) < 1.5 * result.mass_error
     assert (result.mass_error < 0.04) == (gain == 1.0)
-
-
-def test_rests_with_short_ways_between_them_are_poses():
-    """Rests of 2 s, and 1.5 s from one to the next."""
-    rng = np.random.default_rng(6)
-    arm = Arm(SEVEN_DOF, rng)
-    times, *signals = poses_of(SEVEN_DOF, rng, count=6, rest=2.5)
-    is_rest = times % 3.5 > 1.0
-    wait = 0.02 * np.sin(9.0 * times) * (is_rest & (times % 3.5 < 1.5))
-    signals[1] = signals[1] + wait[:, None]
-    motion = times, *signals
-    load = random_load('tool0', rng, 2.0)
-    empty, loaded = arm.record(motion), arm.record(motion, load)
-    result = measure_payload(SEVEN_DOF, loaded, empty, 'tool0', STANDARD_GRAVITY)
-    assert result.poses == 6
 
 
 def test_a_link_that_does_not_move_carries_nothing():

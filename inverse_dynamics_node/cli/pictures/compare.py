@@ -106,10 +106,9 @@ def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
 def draw_payload(result: PayloadEstimate, source: str, title: str, path: Path) -> None:
     """Draw the efforts of all joints over time, and write the picture."""
     names = style.all_elided(result.joint_names, 40)
-    marks = {'marker': 'o', 'linestyle': ''} if result.poses else {}
     signals = (
-        (result.measured, {**style.MEASURED, **marks}),
-        (result.fitted, {'color': style.BLUE, 'linewidth': 1.1, **marks}),
+        (result.measured, style.MEASURED),
+        (result.fitted, {'color': style.BLUE, 'linewidth': 1.1}),
     )
     with style.styled_pyplot() as pyplot:
         figure, panels = style.panels(pyplot, len(names), 1, 1.15)
