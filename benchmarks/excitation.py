@@ -5,7 +5,8 @@ Plan motions for the arms of example-robot-data, and check them with Pinocchio.
 
 Pinocchio loads the collision meshes, and finds collisions at 2001 poses of the written motion. It
 leaves out links that a joint connects, and the pairs that `excite` does not check. The errors are
-compared with the best of 1000 random motions within the same limits.
+compared with the best of 1000 random motions within the same limits. They are the geometric means
+of the standard errors of the base parameters and of the terms of the joints.
 """
 
 from __future__ import annotations
@@ -16,11 +17,14 @@ from pathlib import Path
 import time
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.columns import base_parameters
 from inverse_dynamics_node.analysis.excitation import search
 from inverse_dynamics_node.analysis.excitation.collisions import Collisions
 from inverse_dynamics_node.analysis.excitation.limits import (
     default_and_random_poses,
     motion_limits,
+    random_states,
+    States,
     whole_positions,
 )
 import numpy as np
@@ -32,6 +36,7 @@ ARMS = (
 )  # fmt: skip
 RANDOM = 1000
 CHECKED = 2001
+SAMPLES = 80
 
 
 def collisions_of_pinocchio(path: Path, q: np.ndarray, joints: tuple, unchecked: list) -> int:
@@ -77,14 +82,20 @@ def row(path: Path) -> str:
     whole = whole_positions(limits, q)
     hits = collisions_of_pinocchio(path, whole, robot.joint_names, collisions.unchecked)
     motions = search.MotionSpace(dynamics, limits, collisions, found.series.duration)
-    best = max(
-        np.linalg.slogdet(found.unknowns.information(motions.states(x)))[1]
-        for x in motions.random(RANDOM, np.random.default_rng(7))
-    )
-    count = len(found.unknowns.columns)
-    samples = search.SAMPLES_PER_SECOND * found.series.duration
-    ours = np.linalg.slogdet(found.information / samples)[1]
-    ratio = np.exp((best - ours) / (2.0 * count))
+    states = found.unknowns.weighted(random_states(limits, 400, np.random.default_rng(1)))
+    states = states.reshape(-1, states.shape[-1])
+    leading = base_parameters(states / np.linalg.norm(states, axis=0)).leading
+
+    def information(states: States) -> float:
+        """Return the mean logarithm of the information about a base parameter."""
+        whole = found.unknowns.information(states, found.series.duration)
+        return np.linalg.slogdet(whole[np.ix_(leading, leading)])[1] / len(leading)
+
+    random = motions.random(RANDOM, np.random.default_rng(7))
+    best = max(information(motions.states(x)) for x in random)
+    times = found.series.duration / SAMPLES * np.arange(SAMPLES)
+    ours = information(States(*found.series.sample(times)))
+    ratio = np.exp(0.5 * (best - ours))
     pairs = ', '.join(collisions.unchecked) or '-'
     return (
         f'| {path.stem} | {len(limits.index)} | {hits} of {CHECKED} | {ratio:.2f} | {seconds:.1f} '

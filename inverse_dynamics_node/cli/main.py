@@ -64,7 +64,13 @@ examples:
 exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
-_ROS_COMMANDS = 'payload', 'watch', 'probe', 'simulate'  # commands that accept --ros-args
+_ROS_COMMANDS = (
+    'excite',
+    'payload',
+    'watch',
+    'probe',
+    'simulate',
+)  # commands that accept --ros-args
 # Ubuntu 24.04 refuses `pip install` outside of a virtual environment, and its scipy needs numpy 1.
 _IS_VENV = sys.prefix != sys.base_prefix
 _PIP = 'run pip install' if _IS_VENV else 'run pip install --break-system-packages'

@@ -26,21 +26,23 @@ def excite(*arguments):
     return main(['excite', str(STANFORD), *arguments])
 
 
-def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, capsys):
+def test_the_files_contain_the_motion_and_a_rehearsal(here, capsys):
     assert excite() == 0
     printed = capsys.readouterr().out
-    table, _ = read_trajectory(here / 'stanford_excite.csv', NAMES)
-    points, _ = read_trajectory(here / 'stanford_excite.yaml', NAMES)
-    start, _ = read_trajectory(here / 'stanford_excite_start.yaml', NAMES)
-    assert table.joint_names == points.joint_names == start.joint_names == NAMES
-    assert table.times[-1] == points.times[-1] == 10.0
-    assert_allclose(table.positions[::5], points.positions, atol=1e-8)
-    assert_allclose(start.positions, table.positions[:1], atol=1e-8)
-    assert start.times[0] >= 5.0
-    for whole in (table, points):
-        assert not whole.velocities[[0, -1]].any()
-        assert not whole.accelerations[[0, -1]].any()
-        assert np.abs(whole.velocities).max(axis=0).min() > 0.01
+    motion, _ = read_trajectory(here / 'stanford_excite.yaml', NAMES)
+    slow, _ = read_trajectory(here / 'stanford_excite_rehearsal.yaml', NAMES)
+    assert motion.joint_names == slow.joint_names == NAMES
+    assert motion.times[0] == slow.times[0] >= 5.0  # the time to get to the start pose
+    assert np.ptp(motion.times) == pytest.approx(10.0)
+    assert np.ptp(slow.times) == pytest.approx(50.0)
+    for speed, each in ((1.0, motion), (0.2, slow)):
+        step = round(1.0 / speed)
+        assert_allclose(each.positions[::step], motion.positions, atol=1e-8)
+        assert_allclose(each.velocities[::step], speed * motion.velocities, atol=1e-8)
+        assert_allclose(each.accelerations[::step], speed**2 * motion.accelerations, atol=1e-8)
+        assert not each.velocities[[0, -1]].any()
+        assert not each.accelerations[[0, -1]].any()
+    assert np.abs(motion.velocities).max(axis=0).min() > 0.01
     # A controller without effort interfaces rejects a trajectory with efforts.
     assert 'effort' not in (here / 'stanford_excite.yaml').read_text()
     for words in (
@@ -54,24 +56,14 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
     assert main(['effort', str(STANFORD), 'stanford_excite.yaml', '--no-picture']) == 0
 
 
-def test_the_rehearsal_is_the_same_path_five_times_slower(here):
-    assert excite() == 0
-    fast, _ = read_trajectory(here / 'stanford_excite.yaml', NAMES)
-    slow, _ = read_trajectory(here / 'stanford_excite_rehearsal.yaml', NAMES)
-    assert slow.times[-1] == 50.0
-    assert_allclose(slow.positions[::5], fast.positions, atol=1e-8)
-    assert_allclose(slow.velocities[::5], 0.2 * fast.velocities, atol=1e-8)
-    assert_allclose(slow.accelerations[::5], 0.04 * fast.accelerations, atol=1e-8)
-
-
 def test_options_restrict_the_motion(here):
     assert (
         excite('--joints', NAMES[1], NAMES[3], '--floor', 'none', '--trajectory-out', 'b.yaml')
         == 0
     )
-    trajectory, _ = read_trajectory(here / 'b.csv', NAMES)
+    trajectory, _ = read_trajectory(here / 'b.yaml', NAMES)
     assert trajectory.joint_names == (NAMES[1], NAMES[3])
-    names = ['b.csv', 'b.yaml', 'b_rehearsal.yaml', 'b_start.yaml']
+    names = ['b.yaml', 'b_rehearsal.yaml']
     assert sorted(path.name for path in here.iterdir()) == names
 
 
@@ -87,7 +79,9 @@ def test_the_output_says_what_the_links_keep_from(here, capsys):
     (here / 'arm.urdf').write_text(SHAPED)
     assert main(['excite', 'arm.urdf', '--floor', '-1', '--joints', *NAMES[:2]]) == 0
     printed = capsys.readouterr().out
-    assert 'the links keep 20 mm from each other, from the floor and from boxes' in printed
+    assert (
+        'the links keep 5 mm from each other, and 20 mm from the floor and from boxes' in printed
+    )
     assert 'space that the links need: x ' in printed
 
 

@@ -90,7 +90,7 @@ def test_two_outputs_with_one_name_are_refused(here, capsys):
         ('effort arm.urdf move.yaml', 'move_efforts.png'),
         ('compare arm.urdf move.csv', 'move_compare.png'),
         ('excite arm.urdf', 'arm_excite.yaml'),
-        ('excite arm.urdf', 'arm_excite_start.yaml'),
+        ('excite arm.urdf', 'arm_excite_rehearsal.yaml'),
         ('identify arm.urdf move.csv', 'arm_identify.png'),
         ('identify arm.urdf move.csv --output mine.urdf', 'mine.urdf'),
     ],

@@ -2,9 +2,8 @@
 Finds poses in which links hit each other, the floor or a box, by means of the library coal.
 
 The convex hull of a collision shape represents the shape, as in MuJoCo: it is larger and faster.
-Links that a joint connects are not compared. Shapes that are close to each other in most random
-poses, or in the default pose, need not keep the clearance, but must not touch. Shapes that touch
-in almost all random poses, or in many of them and in the default pose, cannot be checked.
+Links that a joint connects are not compared. Shapes that touch in almost all random poses, or in
+many of them and in the default pose, cannot be checked.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from ...robot.model import Booleans, Floats, Integers, RobotModel
 from ...robot.urdf.shapes import read_shapes, Shape
 
 CLEARANCE = 0.02
-"""Minimum distance between links, and between a link and an obstacle [m]."""
-TOUCH = 0.002
-"""Minimum distance of shapes that are close to each other by design [m]."""
-_MANY, _MOST, _ALMOST_ALL = 0.2, 0.5, 0.95
+"""Minimum distance between a link and an obstacle [m]."""
+APART = 0.005
+"""Minimum distance between links [m]."""
+_MANY, _ALMOST_ALL = 0.2, 0.95
 """Fractions of the random poses."""
 _THICKNESS = 1e-3
 """Half thickness of a flat shape [m]."""
@@ -51,8 +50,7 @@ class Collisions:
     Finds collisions of a robot with itself and with obstacles.
 
     `shapeless` names the links without a readable collision shape, which are not checked.
-    `unchecked` names pairs that are not checked, such as 'wrist and hand'. `near` names pairs that
-    may come closer than `CLEARANCE`, but must not touch.
+    `unchecked` names pairs that are not checked, such as 'wrist and hand'.
 
     """
 
@@ -88,28 +86,21 @@ class Collisions:
         are_joined = (robot.parent[a] == b) | (robot.parent[b] == a)
         chosen = (i < self._links) & (a != b) & ~((j < self._links) & are_joined)
         self._pairs: Integers = np.stack([i, j], axis=1)[chosen]
-        self._margins = np.full(len(self._pairs), CLEARANCE)
+        self._margins = np.where(self._pairs[:, 1] < self._links, APART, CLEARANCE)
         self.shapeless = _without_shape(robot, shapes, unreadable)
-        self.unchecked, self.near = self._learn(poses)
+        touching = self._touching(poses)
+        self.unchecked = self._named(touching)
+        self._pairs, self._margins = self._pairs[~touching], self._margins[~touching]
 
-    def _learn(self, poses: Floats) -> tuple[list[str], list[str]]:
-        """Remove pairs and reduce margins according to the poses; return the names of both."""
+    def _touching(self, poses: Floats) -> Booleans:
+        """Return which pairs touch in too many poses to be checked."""
         first, second = self._pairs.T
         are_links = second < self._links
         # The first link may turn on the floor, and wheels stand on it.
         on_floor = (second == self._floor) & (self.robot.parent[self._body[first]] == 0)
-
-        def close(many: float, most: float) -> Booleans:
-            in_default_pose = are_links & (self._counts(poses[:1]) > 0)
-            limits = np.where(in_default_pose, many, most) * len(poses)
-            return np.asarray((are_links | on_floor) & (self._counts(poses) > limits))
-
-        near = are_links & close(0.0, _MOST)
-        self._margins[near] = TOUCH
-        touching = close(_MANY, _ALMOST_ALL)
-        unchecked, kept_apart = self._named(touching), self._named(near & ~touching)
-        self._pairs, self._margins = self._pairs[~touching], self._margins[~touching]
-        return unchecked, [name for name in kept_apart if name not in unchecked]
+        in_default_pose = are_links & (self._counts(poses[:1]) > 0)
+        most = np.where(in_default_pose, _MANY, _ALMOST_ALL) * len(poses)
+        return np.asarray((are_links | on_floor) & (self._counts(poses) > most))
 
     @property
     def has_pairs(self) -> bool:

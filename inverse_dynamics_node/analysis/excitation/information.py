@@ -3,98 +3,88 @@ Computes how accurately the efforts of a motion determine masses and friction.
 
 Efforts are linear in the unknowns: tau = Y(q, qd, qdd) pi + a qdd + d qd + c tanh(qd / w) + o.
 The vector pi contains the inertial parameters of the bodies. Each joint has an armature a, a
-damping d, a Coulomb friction c that is smoothed over the speed w, and an offset o. Efforts depend
-only on certain combinations of inertial parameters, called base parameters. One column of Y is
-used for each base parameter.
+damping d, a Coulomb friction c that is smoothed over the speed w, and an offset o.
 
-The matrix W contains these columns of Y and the columns of a, d, c and o, for all samples of a
-motion. Each row of W belongs to one measured effort, and is divided by the standard deviation of
-its noise. The information matrix is W^T W. The inverse of the information matrix is the covariance
-of the unknowns.
+Before a motion, each unknown has a usual error: descriptions are wrong by 15 %. The matrix W
+contains the efforts for the usual error of each unknown, for all samples of a motion, divided by
+the standard deviation of their noise. The information matrix is W^T W. The inverse of E + W^T W,
+where E is the identity, is the covariance of the unknowns after the motion, in usual errors.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.kinematics import path_to
-from ...robot.model import Floats, Integers, RobotModel
-from ..columns import base_parameters, NAMES
+from ...robot.model import Floats, Integers
+from ..columns import NAMES, usual_errors
 from .limits import MotionLimits, random_states, States, whole_states
 
 OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
+NOISE = 0.01
+"""Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
+SAMPLES_PER_SECOND = 10.0
+"""Assumed rate of independent samples in the smoothed measured efforts [Hz]."""
 WIDTH = 0.02
 """Width w of smoothed Coulomb friction, as a fraction of the largest speed of the joint."""
+_LINK_ERROR = 0.15
+"""Usual relative error of the masses and mass distributions of links."""
+_DRIVE_ERROR = 0.1
+"""Usual error of each term of a joint at its largest speed, as a fraction of the effort limit."""
+_IMPROVED = 0.5
+"""A smaller fraction of the usual error means that a motion determines an unknown."""
+_LEAST_NOISE = 1e-6
+"""Smallest assumed noise [N m or N]."""
+_LEAST_INFORMATION = 1e-3
+"""An unknown is left out if one state gives less information about it, on average."""
 _STATES = 400
-"""Number of random states that are used to find the base parameters."""
-_VISIBLE = 100.0
-"""
-Largest standard error of an unknown at the random states, relative to the whole robot.
-
-Columns that differ only by the rounding of the description give larger errors. The error of a mass
-is relative to the moving mass, that of a first moment to mass x reach, and that of a moment of
-inertia to mass x reach^2.
-"""
+"""Number of random states that show which unknowns change the efforts."""
 _PRODUCTS = 20
 """Number of matrix products for one information matrix."""
-_TINY = 1e-9
-"""Value that is added to the diagonal of the information matrix to keep it invertible."""
-_GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
-"""Indices of mass, first moments and moments of inertia among the parameters of a body."""
 
 
 class Unknowns:
     """
-    The unknowns that the efforts of the moving joints can determine.
+    The unknowns that change the efforts of the moving joints.
 
-    `noise` is the standard deviation of the measured effort of each moving joint [N m or N].
-    `columns` contains the indices of the columns that were selected as unknowns. The full matrix
-    has ten columns for each body except the base, followed by one column per moving joint for each
-    term in `OF_JOINT`. `scale` contains the RMS of each selected column after division by the
-    noise.
+    `noise` is the standard deviation of the measured effort of each moving joint [N m or N]. All
+    unknowns are ten parameters for each body except the base, followed by one value per moving
+    joint for each term in `OF_JOINT`. `columns` contains the indices of those that are computed,
+    and `usual` the usual errors of all.
 
     """
 
-    def __init__(self, dynamics: InverseDynamics, limits: MotionLimits, noise: Floats) -> None:
-        self.dynamics, self.limits, self.noise = dynamics, limits, noise
-        robot = dynamics.robot
+    def __init__(self, dynamics: InverseDynamics, limits: MotionLimits) -> None:
+        self.dynamics, self.limits = dynamics, limits
+        robot, states = dynamics.robot, random_states(limits, _STATES, np.random.default_rng(1))
+        efforts = np.abs(dynamics.efforts(*whole_states(limits, states)))[:, limits.index]
+        given = robot.effort_limits[limits.index]
+        largest = np.where(np.isfinite(given), given, np.max(efforts, axis=0))
+        self.noise = np.maximum(NOISE * largest, _LEAST_NOISE)
         self.rigid_count = len(NAMES) * (len(robot.parent) - 1)
-        self.columns: Integers = np.arange(self.rigid_count + len(OF_JOINT) * len(noise))
-        self.scale: Floats = np.ones(len(self.columns))
-        states = random_states(limits, _STATES, np.random.default_rng(1))
-        matrix = self.weighted(states).reshape(-1, len(self.columns))
-        sizes = np.sqrt(np.mean(matrix**2, axis=0))
-        nonzero = np.flatnonzero(sizes > 1e-12 * np.max(sizes))
-        leading = base_parameters(matrix[:, nonzero] / sizes[nonzero]).leading
-        columns = np.sort(nonzero[leading])
-        largest = np.full(len(sizes), np.inf)
-        largest[: self.rigid_count] = np.tile(_VISIBLE * _units(robot), len(robot.parent) - 1)
-        while True:
-            triangle = np.linalg.qr(matrix[:, columns] / sizes[columns], mode='r')
-            errors = np.linalg.norm(np.linalg.inv(triangle), axis=1) / sizes[columns]
-            ratios = errors / largest[columns]
-            if ratios.max() < 1.0:
-                break
-            columns = np.delete(columns, ratios.argmax())
-        self.columns, self.scale = columns, sizes[columns]
+        ones = np.ones(len(largest))
+        units = np.stack([2.0 * limits.speeds, limits.speeds, ones, ones])
+        drives = _DRIVE_ERROR * largest / units
+        self.usual: Floats = np.append(usual_errors(robot, _LINK_ERROR), drives)
+        self.columns: Integers = np.arange(len(self.usual))
+        shown = np.mean(np.sum(self.weighted(states) ** 2, axis=1), axis=0)
+        self.columns = np.flatnonzero(shown > _LEAST_INFORMATION)
 
-    def weighted(self, states: States) -> Floats:
-        """Return the result of `of_efforts`, divided by noise and scale."""
-        return self.of_efforts(states) / (self.noise[:, np.newaxis] * self.scale)
+    def information(self, states: States, duration: float) -> Floats:
+        """
+        Return the information matrix of a motion that repeats `states`.
 
-    def information(self, states: States) -> Floats:
-        """Return the information matrix per state; the number of states is divisible by 20."""
+        `duration` is the duration of the motion [s]. The number of states is divisible by 20.
+        """
         u = len(self.columns)
         # Small products are slow, and large ones start threads, which cost more than they save.
         columns = self.weighted(states).reshape(_PRODUCTS, -1, u)
         products = columns.transpose(0, 2, 1) @ columns
-        return np.asarray(np.sum(products, axis=0) / len(states.q) + _TINY * np.eye(u))
+        rows = SAMPLES_PER_SECOND * duration / len(states.q)
+        return np.asarray(rows * np.sum(products, axis=0))
 
-    def of_efforts(self, states: States) -> Floats:
-        """Return the effort per unit of each unknown, shape (states, moving joints, unknowns)."""
+    def weighted(self, states: States) -> Floats:
+        """Return the effort per usual error, in units of the noise, shape (states, m, columns)."""
         Y = self.dynamics.regressor(*whole_states(self.limits, states))
         step = np.tanh(states.qd / (WIDTH * self.limits.speeds))
         drive_terms = np.stack([states.qdd, states.qd, step, np.ones_like(step)])
@@ -103,44 +93,24 @@ class Unknowns:
         columns: Floats = np.zeros((*states.q.shape, len(self.columns)))
         columns[:, :, : len(rigid)] = Y[:, self.limits.index][:, :, rigid]
         columns[:, joint, len(rigid) + np.arange(len(joint))] = drive_terms[kind, :, joint].T
-        return columns
+        return columns * (self.usual[self.columns] / self.noise[:, np.newaxis])
 
+    def expected_errors(self, information: Floats) -> tuple[Floats, Floats]:
+        """
+        Return the standard errors after a motion; NaN where it does not halve the usual error.
 
-def _units(robot: RobotModel) -> Floats:
-    """Return the moving mass, mass x reach, or mass x reach^2, for each inertial parameter."""
-    lengths = np.linalg.norm(robot.p_PL, axis=1)
-    reach = max(sum(lengths[path_to(robot, body)]) for body in range(len(lengths)))
-    reach = max(reach, float(np.linalg.norm(robot.com, axis=1).max()))
-    orders = np.repeat([0, 1, 2], [1, 3, 6])
-    return np.asarray(robot.mass[1:].sum() * reach**orders)
+        The first result has the errors of the terms in `OF_JOINT`, shape (moving joints, 4). The
+        second result has the error of the mass [kg], and the largest errors of first moments
+        [kg m] and inertia [kg m^2], shape (bodies except the base, 3).
 
-
-class ExpectedErrors(NamedTuple):
-    """
-    Standard errors of the unknowns due to the assumed noise.
-
-    If the efforts depend only on a combination of parameters, the error of the combination is
-    assigned to one of these parameters. The errors of the others are NaN.
-
-    """
-
-    of_joints: Floats
-    """Errors of the terms in `OF_JOINT`, shape (moving joints, 4)."""
-    of_bodies: Floats
-    """
-    Error of mass [kg], and largest errors of first moments [kg m] and inertia [kg m^2].
-
-    The shape is (bodies except the base, 3).
-    """
-
-
-def expected_errors(unknowns: Unknowns, information: Floats) -> ExpectedErrors:
-    """Compute standard errors from an information matrix, shape (unknowns, unknowns)."""
-    errors = np.full(unknowns.rigid_count + len(OF_JOINT) * len(unknowns.noise), np.nan)
-    covariance = np.linalg.inv(information)
-    errors[unknowns.columns] = np.sqrt(np.diagonal(covariance)) / unknowns.scale
-    of_bodies = errors[: unknowns.rigid_count].reshape(-1, len(NAMES))
-    return ExpectedErrors(
-        errors[unknowns.rigid_count :].reshape(len(OF_JOINT), -1).T,
-        np.stack([np.fmax.reduce(of_bodies[:, group], axis=1) for group in _GROUPS], axis=1),
-    )
+        """
+        relative = np.full(len(self.usual), np.nan)
+        covariance = np.linalg.inv(np.eye(len(information)) + information)
+        relative[self.columns] = np.sqrt(np.diagonal(covariance))
+        errors = np.where(relative < _IMPROVED, relative * self.usual, np.nan)
+        of_bodies = errors[: self.rigid_count].reshape(-1, len(NAMES))
+        groups = [of_bodies[:, :1], of_bodies[:, 1:4], of_bodies[:, 4:]]
+        return (
+            errors[self.rigid_count :].reshape(len(OF_JOINT), -1).T,
+            np.stack([np.fmax.reduce(group, axis=1) for group in groups], axis=1),
+        )

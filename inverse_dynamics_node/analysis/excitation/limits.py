@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ConfigurationError, listed
-from ...robot.kinematics import path_to
+from ...robot.kinematics import last_link, path_to
 from ...robot.model import Booleans, Floats, RobotModel
 from ..sizing import joint_ranges
 
@@ -29,10 +29,6 @@ _LEAST_RANGE = 1e-3
 """A joint is considered immovable if its range is smaller than this value [rad or m]."""
 _POSES = 300
 """Number of random poses that show which links are often close to each other."""
-_LIGHT = (0.05, 0.05)
-"""A light joint carries less than both this mass [kg] and this fraction of the moving mass."""
-_MOST_JOINTS_OF_WHEEL = 2
-"""Largest number of joints from the base to a wheel; the first one may steer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +63,17 @@ class MotionLimits:
         return np.asarray(0.5 * (self.upper - self.lower))
 
 
-def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits:
+def motion_limits(
+    robot: RobotModel, joints: Sequence[str] = (), link: str | None = None
+) -> MotionLimits:
     """
     Collect the limits of a motion.
 
-    `joints` are the joints to move. The default is all joints that can move, except those that
-    `_not_of_arm` finds. The motion may use the `FRACTION` of the position ranges, speeds and
-    efforts. Before the motion, each joint is at 0, or in the middle of its range if 0 is out of
-    range. Raises ConfigurationError if a joint does not exist or cannot move.
+    `joints` are the joints to move. The default is all joints between the base and `link` that can
+    move, except those of a virtual base. The default of `link` is `last_link`. The motion may use
+    the `FRACTION` of the position ranges, speeds and efforts. Before the motion, each joint is at
+    0, or in the middle of its range if 0 is out of range. Raises ConfigurationError if a joint
+    does not exist or cannot move.
 
     """
     notes: list[str] = []
@@ -86,7 +85,7 @@ def motion_limits(robot: RobotModel, joints: Sequence[str] = ()) -> MotionLimits
         for name, low, high in zip(robot.joint_names, lower, upper, strict=True)
         if high - low < _LEAST_RANGE
     }
-    names = _chosen(robot, joints, still, notes)
+    names = _chosen(robot, joints, link or last_link(robot), still, notes)
     index = robot.joint_indices(names)
     for words, is_assumed in assumed.items():
         if is_assumed[index].any():
@@ -128,41 +127,6 @@ def _ranges(robot: RobotModel) -> tuple[Floats, Floats, Floats, dict[str, Boolea
     return middle - half, middle + half, FRACTION * speeds, assumed
 
 
-def _not_of_arm(robot: RobotModel) -> dict[str, str]:
-    """Map light joints, wheels and the joints of a virtual base to the reasons to leave them."""
-    carried = robot.mass.copy()
-    for body in range(len(carried) - 1, 0, -1):
-        carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
-    of_joints = np.bincount(robot.joint_index[1:], carried[1:], len(robot.joint_names))
-    least = min(_LIGHT[0], _LIGHT[1] * float(robot.mass[1:].sum()))
-    light = np.flatnonzero(of_joints < least)
-    found = {robot.joint_names[i]: f'it carries only {of_joints[i]:.2g} kg' for i in light}
-    base = _virtual_base(robot)
-    for bodies, reason in (
-        (base, 'it carries the whole robot'),
-        (_wheels(robot, base), 'a wheel'),
-    ):
-        found |= {robot.joint_names[robot.joint_index[body]]: reason for body in bodies}
-    return found
-
-
-def _wheels(robot: RobotModel, base: Sequence[int]) -> list[int]:
-    """
-    Return the bodies of wheels and of the joints that steer them; `base` moves the whole robot.
-
-    A wheel turns without limits at the end of a branch that is shorter than the longest one.
-    """
-    paths = [path_to(robot, body)[len(base) :] for body in range(len(robot.parent))]
-    ends = [paths[body] for body in range(1, len(paths)) if not (robot.parent == body).any()]
-    most = min(_MOST_JOINTS_OF_WHEEL, max(map(len, paths)) - 1)
-    others = {
-        end[0]
-        for end in ends
-        if len(end) > most or not robot.is_continuous[robot.joint_index[end[-1]]]
-    }
-    return [path[-1] for path in paths if path and path[0] not in others]
-
-
 def _virtual_base(robot: RobotModel) -> list[int]:
     """
     Return the bodies of the joints with which a description lets the whole robot drive or fly.
@@ -181,28 +145,30 @@ def _virtual_base(robot: RobotModel) -> list[int]:
 
 
 def _chosen(
-    robot: RobotModel, joints: Sequence[str], still: dict[str, str], notes: list[str]
+    robot: RobotModel, joints: Sequence[str], link: str, still: dict[str, str], notes: list[str]
 ) -> list[str]:
     """Return the joints to move, in the order of the robot."""
     robot.joint_indices(joints)
     for name in joints:
         if name in still:
             raise ConfigurationError(f"joint '{name}' cannot move: {still[name]}")
-    others = {} if joints else _not_of_arm(robot)
-    reasons = others | still
-    names = [
-        name
+    base, path = _virtual_base(robot), path_to(robot, int(robot.link_body[robot.link_index(link)]))
+    arm = [robot.joint_names[robot.joint_index[body]] for body in path if body not in base]
+    wanted = [name for name in joints or arm if name not in still]
+    names = [name for name in robot.joint_names if name in wanted]
+    others = [
+        f'{name} ({still[name]})' if name in still else name
         for name in robot.joint_names
-        if name not in reasons and (not joints or name in joints)
+        if name not in wanted
     ]
-    left_out = [f'{name} ({reasons[name]})' for name in robot.joint_names if name in reasons]
-    hint = '; to move one of them, name all joints that shall move in --joints'
-    hint *= bool(others.keys() - still.keys())
+    hint = f'joints that do not move: {listed(others)}; --joints names all joints to move'
     if not names:
-        why = f': {listed(left_out)}{hint}' if left_out else ''
-        raise ConfigurationError(f"robot '{robot.name}' has no joint to move{why}")
-    if left_out and not joints:
-        notes.append(f'joints that do not move: {listed(left_out)}{hint}')
+        raise ConfigurationError(
+            f"robot '{robot.name}' has no joint to move between the base and link '{link}'"
+            + (f'; {hint}' if others else '')
+        )
+    if others and not joints:
+        notes.append(hint)
     return names
 
 

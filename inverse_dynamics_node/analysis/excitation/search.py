@@ -2,9 +2,9 @@
 Searches for the motion that determines masses and friction most accurately.
 
 The search varies the coefficients of a Fourier series [1]_ at random, and keeps each change that
-increases the determinant of the information matrix (D-optimal design). The swing of each joint is
-scaled to its position and speed limits. Motions that exceed an effort limit or lead to a collision
-are rejected.
+reduces the determinant of the covariance of the unknowns (D-optimal design). The swing of each
+joint is scaled to its position and speed limits. Motions that exceed an effort limit or lead to a
+collision are rejected.
 
 References
 ----------
@@ -33,10 +33,6 @@ from .limits import MotionLimits, States, whole_positions, whole_states
 DURATION = 10.0  # [s]
 HARMONICS = 5
 """Number of harmonics of the Fourier series."""
-NOISE = 0.01
-"""Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
-SAMPLES_PER_SECOND = 10.0
-"""Assumed rate of independent samples in the smoothed measured efforts [Hz]."""
 _SAMPLES = 80
 """Number of samples of a motion during the search."""
 _FINE = 8
@@ -64,8 +60,6 @@ _SCALES = (0.005, 0.5)
 _GROWTH = 1.1
 """Factor of the standard deviation after a success; four failures reduce it by about 2 %."""
 _DECAY = 0.995
-_LEAST_NOISE = 1e-6
-"""Smallest assumed noise [N m or N]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +70,7 @@ class Excitation:
     limits: MotionLimits
     unknowns: Unknowns
     information: Floats
-    """Information matrix of the scaled unknowns, shape (unknowns, unknowns)."""
+    """Information matrix of `unknowns`."""
 
 
 def find_excitation(
@@ -89,10 +83,9 @@ def find_excitation(
     """
     Find an excitation motion.
 
-    Equal arguments give equal results. `duration` is the duration of the motion [s]. The assumed
-    standard deviation of measured efforts is `NOISE` times the effort limit. The largest effort of
-    random motions replaces a missing effort limit. `progress` is called regularly with the
-    completed fraction, 0 to 1. Raises ConfigurationError if no permitted motion is found.
+    Equal arguments give equal results. `duration` is the duration of the motion [s]. `progress` is
+    called regularly with the completed fraction, 0 to 1. Raises ConfigurationError if no permitted
+    motion is found.
 
     """
     if not 0.0 < duration < math.inf:
@@ -100,10 +93,13 @@ def find_excitation(
     rng = np.random.default_rng(0)
     motions = MotionSpace(dynamics, limits, collisions, duration)
     candidates = motions.random(CANDIDATES, rng)
-    unknowns = Unknowns(dynamics, limits, _assumed_noise(motions, candidates))
+    unknowns = Unknowns(dynamics, limits)
+
+    def information(x: Floats) -> Floats:
+        return unknowns.information(motions.states(x), duration)
 
     def score(x: Floats) -> float:
-        return float(np.linalg.slogdet(unknowns.information(motions.states(x)))[1])
+        return float(np.linalg.slogdet(np.eye(len(unknowns.columns)) + information(x))[1])
 
     work = _SAMPLES * len(limits.index) * len(unknowns.columns) ** 2
     trials = int(np.clip(_LARGEST_WORK / work, _FEWEST_TRIALS, _MOST_TRIALS))
@@ -126,7 +122,7 @@ def find_excitation(
         FourierSeries(limits.joint_names, duration, motions.coefficients(x)),
         limits,
         unknowns,
-        SAMPLES_PER_SECOND * duration * unknowns.information(motions.states(x)),
+        information(x),
     )
 
 
@@ -246,14 +242,3 @@ class MotionSpace:
                 'floor (--floor), or narrow the ranges in a copy of the URDF'
             )
         return np.array(found)
-
-
-def _assumed_noise(motions: MotionSpace, candidates: list[Floats]) -> Floats:
-    limits, dynamics = motions.limits, motions.dynamics
-    states = (whole_states(limits, motions.states(x)) for x in candidates)
-    efforts = np.array([dynamics.efforts(*each) for each in states])
-    largest = np.max(np.abs(efforts), axis=(0, 1))[limits.index]
-    given = dynamics.robot.effort_limits[limits.index]
-    return np.asarray(
-        np.maximum(NOISE * np.where(np.isfinite(given), given, largest), _LEAST_NOISE)
-    )
