@@ -127,23 +127,6 @@ def _ranges(robot: RobotModel) -> tuple[Floats, Floats, Floats, dict[str, Boolea
     return middle - half, middle + half, FRACTION * speeds, assumed
 
 
-def _virtual_base(robot: RobotModel) -> list[int]:
-    """
-    Return the bodies of the joints with which a description lets the whole robot drive or fly.
-
-    These joints begin at a base without mass. They move bodies without mass, except the last one,
-    and at least one of them is prismatic.
-    """
-    chain = [0]
-    while robot.mass[chain[-1]] == 0.0:
-        children = np.flatnonzero(robot.parent == chain[-1])
-        if len(children) != 1:
-            return []
-        chain.append(int(children[0]))
-    is_virtual = len(chain) > 2 and robot.is_prismatic[chain].any()
-    return chain[1:] if is_virtual else []
-
-
 def _chosen(
     robot: RobotModel, joints: Sequence[str], link: str, still: dict[str, str], notes: list[str]
 ) -> list[str]:
@@ -152,8 +135,8 @@ def _chosen(
     for name in joints:
         if name in still:
             raise ConfigurationError(f"joint '{name}' cannot move: {still[name]}")
-    base, path = _virtual_base(robot), path_to(robot, int(robot.link_body[robot.link_index(link)]))
-    arm = [robot.joint_names[robot.joint_index[body]] for body in path if body not in base]
+    path = path_to(robot, int(robot.link_body[robot.link_index(link)]))
+    arm = [robot.joint_names[robot.joint_index[body]] for body in path[_virtual(robot, path) :]]
     wanted = [name for name in joints or arm if name not in still]
     names = [name for name in robot.joint_names if name in wanted]
     others = [
@@ -170,6 +153,18 @@ def _chosen(
     if others and not joints:
         notes.append(hint)
     return names
+
+
+def _virtual(robot: RobotModel, path: Sequence[int]) -> int:
+    """
+    Return the number of joints with which a description lets the whole robot drive or fly.
+
+    These joints are between a base without mass and the first body with mass on the path. There
+    are at least two of them, and at least one of them is prismatic.
+    """
+    count = 1 + int(np.argmax(robot.mass[path] > 0.0)) if path else 0
+    is_virtual = robot.mass[0] == 0.0 and count > 1 and robot.is_prismatic[path[:count]].any()
+    return count if is_virtual else 0
 
 
 # ---- States --------------------------------------------------------------------------------
