@@ -78,6 +78,8 @@ class PayloadEstimate:
     """Efforts of the empty arm divided by those of its description."""
     ratio_error: float
     """Standard error of `ratio`; NaN if the measured efforts do not contain gravity."""
+    is_scaled: bool
+    """Whether the errors contain a part of ``ratio - 1`` that its error does not explain."""
     joint_names: tuple[str, ...]
     """The joints with measured efforts."""
     times: Floats
@@ -104,11 +106,6 @@ class PayloadEstimate:
     def is_certain(self) -> bool:
         """Whether the mass is clearly above zero."""
         return bool(self.body.mass > CERTAIN * self.mass_error)
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether the empty arm seems to weigh clearly more or less than its description."""
-        return bool(abs(self.ratio - 1.0) > 2.0 * self.ratio_error)
 
 
 class _Rows(NamedTuple):
@@ -179,6 +176,7 @@ def measure_payload(
         bool(np.sqrt(np.trace(fit.covariance[4:7, 4:7])) < 0.5 * _second_moment(fit.x)),
         ratio,
         ratio_error,
+        common > 0.0,
         tuple(robot.joint_names[j] for j in joints),
         with_load.times,
         fitted + fit.residual,
