@@ -78,7 +78,7 @@ def test_the_node_takes_the_payload(run_node, robot, payload, ended, tmp_path):
     again = 'loaded.csv', '--empty', 'empty.csv', '--apply', '--link', 'link_7'
     code, output = ended(payload(*again))
     assert code == 1
-    assert f'carries another payload: {mass:.3g}' in output
+    assert f'carries another payload: {mass:g} kg on' in output
     assert '--replace to remove it' in output
     code, output = ended(payload(*again, '--replace'))
     assert code == 0
@@ -140,5 +140,5 @@ def test_joint_states_have_to_contain_efforts(run_node, robot, payload, ended, t
     robot.wait_for_text(run_node(robot_description_file=URDF, state_timeout=5.0), 'floating')
     code, output = ended(payload('run.csv', '--record', '1'))
     assert code == 1
-    assert 'the joint states on /joint_states have no efforts; configure the driver' in output
+    assert 'the joint states on /joint_states have no efforts of shoulder_pan' in output
     assert not [*tmp_path.iterdir()]
