@@ -193,6 +193,8 @@ def _values_of_robot(
             'mass [kg]': float(np.sum(robot.mass)),
             'joints': loop.joints,
             'payload': [f'{load.mass:g} kg on {link}' for link, load in loads.payloads.items()],
+            'payload links': list(loads.payloads),
+            'payload masses [kg]': [load.mass for load in loads.payloads.values()],
             'payload com [m]': [x for load in loads.payloads.values() for x in load.com],
             'gravity [m/s^2]': loads.gravity if loads.include_gravity else 'not included',
             'gravity in the root link [m/s^2]': loads.gravity_at_root,

@@ -76,13 +76,12 @@ class NodeStatus(dict[str, Part]):
 
     def payloads(self) -> list[tuple[str, float, list[float]]]:
         """Return link, mass [kg] and centre of mass in the frame of the link [m] of each load."""
-        loads = [text.partition(' kg on ') for text in self.names('model', 'payload')]
+        links = self.names('model', 'payload links')
+        masses = self.numbers('model', 'payload masses [kg]')
         coms = self.numbers('model', 'payload com [m]')
-        if len(coms) != 3 * len(loads):
+        if not 3 * len(links) == 3 * len(masses) == len(coms):
             return []
-        return [
-            (link, float(mass), coms[3 * k : 3 * k + 3]) for k, (mass, _, link) in enumerate(loads)
-        ]
+        return [(link, masses[k], coms[3 * k : 3 * k + 3]) for k, link in enumerate(links)]
 
     def trajectory(self) -> str | None:
         """Return how far a trajectory has been followed, and how well; None if there is none."""

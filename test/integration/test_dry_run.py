@@ -2,7 +2,7 @@
 
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -59,21 +59,18 @@ def assert_falls_to_zero(commands, times, start, since):
     assert not commands[-1].any()
 
 
-def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, robot):
+def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(
+    run_node, robot, wait_for_status
+):
     node = run_node(**RAMPED, dry_run=True)
     robot.listen_to_joint_efforts()
-    diagnostics = robot.listen(DiagnosticArray, '/diagnostics')
     robot.publish_state(NAMES, Q, ZERO)
     wait_for_efforts(robot, HOLD)
     robot.wait_for_text(node, 'on ~/joint_efforts only (dry run); nothing is sent to')
     robot.wait_for_text(node, 'dry run: floating: no reference')
-
-    def shows_dry_run(array):
-        statuses = {status.name.partition(': ')[2]: status for status in array.status}
-        values = {pair.key: pair.value for pair in statuses['loop'].values}
-        return values.get('dry run') == 'yes' and statuses['efforts'].message.startswith('dry run')
-
-    robot.wait_for(diagnostics, shows_dry_run, 'dry run in the diagnostics')
+    for part in ('loop', 'efforts'):
+        values = wait_for_status(part, DiagnosticStatus.OK, 'dry run: floating: no reference')
+        assert values.get('dry run') == {'loop': 'yes'}.get(part)
     answer = robot.call(SetBool, 'enable', SetBool.Request(data=True))
     assert answer.success
     assert answer.message.endswith('(dry run: nothing is sent)')

@@ -528,6 +528,8 @@ VALUES = {
         'robot': ROBOT.name,
         'mass [kg]': f'{ROBOT.mass.sum():g}',
         'payload': f'2.5 kg on {TIP}',
+        'payload links': TIP,
+        'payload masses [kg]': '2.5',
         'payload com [m]': '0.1, 0, 0',
         'gravity [m/s^2]': 'not included',
         'gravity in the root link [m/s^2]': '0, 0, -9.80665',
@@ -589,7 +591,7 @@ def test_values_that_are_unknown_or_of_another_version_are_left_out():
     assert status.number('model', 'mass [kg]') is None
     assert not status.is_computing
     assert status.names('model', 'joints') == status.payloads() == status.gravity() == []
-    status['model'] = Part(OK, 'words', {'joints': 'hip, knee', 'payload': '1 kg on hand'})
+    status['model'] = Part(OK, 'words', {'joints': 'hip, knee', 'payload links': 'hand'})
     status['efforts'] = Part(OK, 'words', {'scale': '1, 2, 3', 'limits [N m, N]': 'none'})
     assert status.by_joint('scale') == status.by_joint('limits [N m, N]') == {}
     assert status.payloads() == []
