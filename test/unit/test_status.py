@@ -128,13 +128,19 @@ class Node:
         self.loop.reference = Reference(accelerations, REST, now, positions=positions)
         return self
 
-    def stop(self):
-        self.loop.stop()
+    def put(self, **values):
+        """Change attributes of the loop."""
+        for name, value in values.items():
+            setattr(self.loop, name, value)
+        return self
+
+    def call(self, method, *arguments):
+        """Call a method of the loop."""
+        getattr(self.loop, method)(*arguments)
         return self
 
     def dry(self):
-        self.loop.dry_run = DryRun(is_active=True)
-        return self
+        return self.put(dry_run=DryRun(is_active=True))
 
     def status(self):
         status = describe_node(self.now, self.loop, self.around, self.monitor)
@@ -155,7 +161,7 @@ def lost(**settings):
 
 
 def stopped(end, **settings):
-    return fresh(**settings).step(0.0, until=0.1).stop().step(0.1, until=end)
+    return fresh(**settings).step(0.0, until=0.1).call('stop').step(0.1, until=end)
 
 
 def fallen():
@@ -174,16 +180,8 @@ def amid_clock(*clock):
     return fresh().amid(clock=SimulatedClock(*clock))
 
 
-def moved_by_others(now):
-    node = Node().dry().receive(now).step(now)
-    node.loop.motion_problem = 'too fast', 0.0
-    return node
-
-
-def limit_stopped():
-    node = fresh()
-    node.loop.limit_stop('elbow is too fast')
-    return node.step(0.05)
+def moved(now):
+    return Node().receive(now).step(now).put(motion_problem=('too fast', 0.0))
 
 
 def too_far(mode):
@@ -253,12 +251,6 @@ def at_normal_priority(*, is_requested):
     return fresh().amid(scheduled=Scheduled('SCHED_OTHER', 0, problem, is_requested))
 
 
-def outdated():
-    node = fresh()
-    node.loop.is_outdated = True
-    return node
-
-
 ACTIVITIES = [
     (fresh, 'floating: no reference'),
     (lambda: fresh().dry(), 'dry run: floating: no reference'),
@@ -299,7 +291,7 @@ def test_the_activity_is_the_message_of_loop_and_efforts(make, words):
 CONDITIONS = {
     'loop': [
         (lambda: inactive(fresh()), OK, 'inactive'),
-        (limit_stopped, ERROR, 'stopped: elbow is too fast'),
+        (lambda: fresh().call('limit_stop', 'x').step(0.05), ERROR, 'stopped: x'),
         (lambda: fresh().refer(0.0, REST + 1.7e308).step(0.01), ERROR, NOT_SOLVED),
     ],
     'messages': [
@@ -346,8 +338,9 @@ CONDITIONS = {
         (lambda: fresh().amid(silence=9.0, publishers=2), ERROR, '2 publishers are connected'),
         (lambda: fresh().amid(silence=4.0), OK, 'fresh'),
         (lambda: fresh().amid(silence=9.0, publishers=0), OK, 'fresh'),
-        (lambda: moved_by_others(5.0), ERROR, 'the motion limits would stop the arm: too fast'),
-        (lambda: moved_by_others(11.0), OK, 'fresh'),
+        (lambda: moved(5.0).dry(), ERROR, 'the motion limits would stop the arm: too fast'),
+        (lambda: moved(11.0).dry(), OK, 'fresh'),
+        (lambda: moved(5.0), OK, 'fresh'),
         (lambda: Node(ARM).receive(0.0, DEGREES, REST6, NAMES), WARN, IN_DEGREES),
         (lambda: late(0.05), WARN, f"'{NAMES[4]}' is not reported; its locked position is used"),
         (lambda: late(9.0), WARN, f'set locked_positions.{NAMES[5]}; '),
@@ -359,7 +352,7 @@ CONDITIONS = {
     'reference': [
         (fresh, OK, 'no reference is used'),
         (lambda: fresh().refer(0.0).step(0.05), OK, 'followed'),
-        (lambda: fresh().stop().step(0.05), OK, 'disabled'),
+        (lambda: fresh().call('stop').step(0.05), OK, 'disabled'),
         (lambda: too_far(CLOSED[0]), WARN, 'floating: the reference is too far away'),
         (lambda: too_far(CLOSED[1]), WARN, 'holding position: the reference is too far away'),
     ],
@@ -378,7 +371,7 @@ CONDITIONS = {
         (lambda: with_imu(0.5), ERROR, 'no message on imu for more than 0.2 s'),
         (lambda: warned(1), WARN, '1 warning about the robot description'),
         (lambda: warned(2), WARN, '2 warnings about the robot description'),
-        (outdated, WARN, 'another robot description has arrived'),
+        (lambda: fresh().put(is_outdated=True), WARN, 'another robot description has arrived'),
     ],
     'scheduling': [
         (fresh, OK, 'real-time priority'),
