@@ -20,9 +20,11 @@ import sys
 import time
 
 from inverse_dynamics_node import InverseDynamicsError, load_urdf
+from inverse_dynamics_node.control.following import plan
 from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
+from inverse_dynamics_node.dynamics.trajectory import Trajectory
 import numpy as np
 from promises import BrokenPromiseError, Promises, require
 from robot_files import ROOT
@@ -344,6 +346,23 @@ class Sequence:
     def end_reference(self):
         self.acceleration = None
 
+    def follow_trajectory(self):
+        """Follow a trajectory of some joints, at once, later, or from its middle; or end it."""
+        loop, pick = self.node.loop, self.pick
+        self.acceleration = None
+        if pick.random() < 0.2:
+            loop.following.hold(loop.following.state, 'an empty one')
+            return
+        joints = pick.sample(range(N), pick.randint(1, N))
+        times = np.cumsum([pick.choice([0.0, 0.05, 0.5]), *pick.choices([0.3, 0.6], k=2)])
+        present = loop.present_motion()
+        ways = [[pick.uniform(-0.1, 0.1) for _ in joints] for _ in times]
+        path = Trajectory(tuple(NAMES[k] for k in joints), times, present[0, joints] + ways)
+        time = pick.choice([-0.2, 0.0, 0.1])
+        with contextlib.suppress(InverseDynamicsError):
+            found = plan(path, loop.following.limits, present, max(time, 0.0))
+            loop.follow_trajectory(found, time)
+
 
 # Some are more likely than others.
 ACTIONS = [
@@ -356,6 +375,7 @@ ACTIONS = [
     *(*2 * [Sequence.set_payload], Sequence.toggle_wrench),
     *(Sequence.change_gravity, Sequence.turn_base),
     *(*3 * [Sequence.change_reference], Sequence.send_absurd_reference, Sequence.end_reference),
+    *3 * [Sequence.follow_trajectory],
 ]
 
 
