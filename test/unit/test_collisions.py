@@ -147,6 +147,16 @@ def test_the_space_of_the_links_contains_their_shapes():
     assert collisions_of(bare).extent(np.zeros((1, 1))) is None
 
 
+def test_links_that_do_not_move_are_not_compared():
+    below = ARM.replace('<origin xyz="0 0 0.4"/>', '<origin xyz="0 0 -0.4"/>')  # the floor
+    robot = load_urdf(below)
+    limits = motion_limits(robot, ['fold'])
+    collisions = Collisions(robot, below, default_and_random_poses(limits), -0.1)
+    hits = {pair for _, pair in collisions.hits(np.zeros((1, 2)))}
+    assert collisions.most_frequent(np.zeros((1, 2))) == 'fore and floor'
+    assert len(hits) == 1
+
+
 def test_a_link_that_turns_on_the_floor_may_touch_it():
     assert collisions_of(ARM, 0.4).unchecked == ['upper and floor']
 

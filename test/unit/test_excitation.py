@@ -192,6 +192,14 @@ def test_joints_that_carry_the_whole_robot_do_not_move_unless_they_are_named():
     assert motion_limits(gantry).joint_names == gantry.joint_names
 
 
+def test_the_effort_limits_are_those_of_joints_that_the_motion_loads():
+    robot = load_urdf(f'<robot name="r"><link name="base"/>{MOBILE}</robot>')
+    limits = motion_limits(robot, ['elbow'])
+    has_limit = np.isfinite(limits.efforts)
+    names = [name for name, has in zip(robot.joint_names, has_limit, strict=True) if has]
+    assert names == list(NAMES_OF_ARM)
+
+
 def test_a_joint_that_cannot_move_is_named():
     robot = arm('lower="0" upper="0" velocity="2" effort="50"')
     for joints in ([], ['hinge']):

@@ -2,13 +2,15 @@
 Finds poses in which links hit each other, the floor or a box, by means of the library coal.
 
 The convex hull of a collision shape represents the shape, as in MuJoCo: it is larger and faster.
-Links that a joint connects are not compared. Shapes that touch in almost all random poses, or in
-many of them and in the default pose, cannot be checked.
+Links that a joint connects, or that do not move relative to each other, are not compared. Shapes
+that touch in almost all random poses, or in many of them and in the default pose, cannot be
+checked.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from itertools import product
 import math
 import os
@@ -84,7 +86,9 @@ class Collisions:
         i, j = np.triu_indices(len(self._solids), 1)
         a, b = self._body[i], self._body[j]
         are_joined = (robot.parent[a] == b) | (robot.parent[b] == a)
-        chosen = (i < self._links) & (a != b) & ~((j < self._links) & are_joined)
+        self._group = _rigid_groups(robot, np.ptp(poses, axis=0) > 0.0)
+        move = self._group[a] != self._group[b]
+        chosen = (i < self._links) & move & ~((j < self._links) & are_joined)
         self._pairs: Integers = np.stack([i, j], axis=1)[chosen]
         self._margins = np.where(self._pairs[:, 1] < self._links, APART, CLEARANCE)
         self.shapeless = _without_shape(robot, shapes, unreadable)
@@ -143,8 +147,8 @@ class Collisions:
         return ', '.join(self._named(worst)[:_NAMED])
 
     def extent(self, q: Floats) -> Floats | None:
-        """Return the lowest and highest corner of the space of all links, shape (2, 3) [m]."""
-        moves = self._body > 0
+        """Return the lowest and highest corner of the space of moving links, shape (2, 3) [m]."""
+        moves = self._group[self._body] > 0
         if not moves.any():
             return None
         low, high = self._bounds(*body_frames(self.robot, q))
@@ -167,6 +171,15 @@ class Collisions:
         return places.min(axis=2), places.max(axis=2)
 
 
+def _rigid_groups(robot: RobotModel, varies: Booleans) -> Integers:
+    """Return a number for each body, equal for bodies between which no joint varies."""
+    groups = np.arange(len(robot.parent))
+    for body in range(1, len(groups)):
+        if not varies[robot.joint_index[body]]:
+            groups[body] = groups[robot.parent[body]]
+    return groups
+
+
 def _of_link(robot: RobotModel, shape: Shape) -> _Solid:
     k = robot.link_index(shape.link)
     vertices = shape.vertices @ robot.link_rotation[k].T + robot.link_position[k]
@@ -179,16 +192,17 @@ def _solid(name: str, body: int, vertices: Floats) -> _Solid:
     from scipy.spatial import ConvexHull, QhullError
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    try:
-        simplices = ConvexHull(vertices).simplices
-    except QhullError:
-        vertices = _corners(low - _THICKNESS, high + _THICKNESS)
-        simplices = ConvexHull(vertices).simplices
-    used, index = np.unique(simplices, return_inverse=True)
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    points.extend(list(vertices[used]))
-    triangles.extend([coal.Triangle(*face) for face in index.reshape(-1, 3).tolist()])
-    return _Solid(name, body, coal.Convex(points, triangles), _corners(low, high))
+    box = _corners(low - _THICKNESS, high + _THICKNESS)
+    # Of vertices in one plane, Qhull makes no hull, and rarely one that coal can use.
+    for corners, option in ((vertices, 'Qt'), (vertices, 'QJ'), (box, 'Qt')):
+        with suppress(QhullError, RuntimeError):
+            simplices = ConvexHull(corners, qhull_options=option).simplices
+            used, index = np.unique(simplices, return_inverse=True)
+            points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+            points.extend(list(corners[used]))
+            triangles.extend([coal.Triangle(*face) for face in index.reshape(-1, 3).tolist()])
+            return _Solid(name, body, coal.Convex(points, triangles), _corners(low, high))
+    raise AssertionError('a box has a convex hull')
 
 
 def _corners(low: Floats, high: Floats) -> Floats:

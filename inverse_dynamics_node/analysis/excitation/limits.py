@@ -48,7 +48,11 @@ class MotionLimits:
     speeds: Floats
     """Largest permitted speeds, shape (moving joints,) [rad/s or m/s]."""
     efforts: Floats
-    """Largest permitted effort of each joint, shape (joints,) [N m or N]; inf without a limit."""
+    """
+    Largest permitted effort of each joint, shape (joints,) [N m or N].
+
+    It is inf without a limit, and for a joint that the motion does not load.
+    """
     notes: tuple[str, ...] = ()
     """Notes for the user about assumptions."""
 
@@ -98,7 +102,7 @@ def motion_limits(
         lower[index],
         upper[index],
         speeds[index],
-        FRACTION * robot.effort_limits,
+        np.where(_loaded(robot, index), FRACTION * robot.effort_limits, np.inf),
         notes=tuple(notes),
     )
 
@@ -153,6 +157,15 @@ def _chosen(
     if others and not joints:
         notes.append(hint)
     return names
+
+
+def _loaded(robot: RobotModel, index: Sequence[int]) -> Booleans:
+    """Return whether the motion of some joints loads each joint, shape (joints,)."""
+    loaded = np.zeros(len(robot.joint_names), bool)
+    for body in range(1, len(robot.parent)):
+        joints = robot.joint_index[path_to(robot, body)]
+        loaded[joints] |= bool(np.isin(joints, index).any())
+    return loaded
 
 
 def _virtual(robot: RobotModel, path: Sequence[int]) -> int:
