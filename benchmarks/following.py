@@ -259,8 +259,9 @@ friction has them. No run ended in a limit stop, unless the last column says so.
 - **Drift**: by how much the distance grows from 1 s after the end on: in {HELD:g} s in the last
   row, in 2 s in the others. An arm with friction creeps towards its reference.
 - **Pauses**: while no joint states arrive, and while the node is suspended, the efforts stay as
-  they were; after `state_timeout` (0.1 s) they fall. stanford and ur10_robot have no friction at
-  all, and fall like a pendulum."""
+  they were; after `state_timeout` (0.1 s) they fall, and after a pause of more than 0.1 s they are
+  blended in over `start_ramp`. stanford and ur10_robot have no friction at all: they fall like a
+  pendulum, and a wrist that was in motion goes on."""
 TITLE = (
     '| trajectory | error [mrad, mm] | step | step of the model | drift [mrad, mm] | ended |\n'
     '|---|---|---|---|---|---|'

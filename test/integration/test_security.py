@@ -57,7 +57,7 @@ def permissions(enclave, node):
         node.get_client_names_and_types_by_node,
     )
     return [
-        (permitted, [name for name, _ in find(*own)])
+        (permitted, [name for name, _ in find(*own) if '/_action/' not in name])
         for permitted, find in zip(ENCLAVES[enclave].values(), lists, strict=True)
     ]
 
@@ -103,6 +103,11 @@ def test_only_the_operator_may_call_the_node_and_only_the_driver_publishes_state
     replies = ENCLAVES['/inverse_dynamics']['services reply']
     assert set(ENCLAVES['/operator']['services request']) == set(replies)
     assert ENCLAVES['/watch']['topics publish'] == ['/parameter_events']
+    action = '/inverse_dynamics/follow_joint_trajectory'
+    for path, right in (('inverse_dynamics', 'execute'), ('operator', 'call')):
+        rule = f".//enclave[@path='/{path}']//actions[@{right}='ALLOW']/action"
+        assert [each.text for each in POLICY.iterfind(rule)] == [action]
+    assert len(list(POLICY.iter('action'))) == 2
 
 
 @pytest.mark.parametrize(
