@@ -12,11 +12,12 @@ program: the leader floats, and the follower floats after `reference_timeout`.
 
 """
 
+import os
 import signal
 import sys
 
-from inverse_dynamics_node.ros.middleware import start_ros
 import rclpy
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -24,7 +25,8 @@ SPEED = 0.2  # [rad/s, m/s]: mean speed of the follower on its way to the leader
 CLOSE = 0.05  # [rad, m]: distance at which the follower begins to follow
 
 gain = float(sys.argv[1]) if len(sys.argv) > 1 else 0.3
-start_ros()  # without shared memory, because it could delay the drivers
+os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')  # shared memory may delay drivers
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 stopped, positions, touch, is_following = [], {}, {}, False
 signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
 node = rclpy.create_node('leader_follower')

@@ -12,14 +12,15 @@ hangs. After Ctrl-C, the node holds the arm.
 
 """
 
+import os
 import signal
 import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
-from inverse_dynamics_node.ros.middleware import start_ros
 import rclpy
 from rclpy.duration import Duration
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -29,7 +30,8 @@ PATIENCE = 10.0  # [s]
 speed = float(sys.argv[1])
 wanted = {name: float(value) for name, value in (word.split('=') for word in sys.argv[2:])}
 
-start_ros()  # without shared memory, because it could delay the driver
+os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')  # shared memory may delay drivers
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 stopped, measured, reported = [], {}, []
 signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
 node = rclpy.create_node('park')

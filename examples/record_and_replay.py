@@ -10,22 +10,24 @@ Ctrl-C stops the motion, and ends the program.
 
 """
 
+import os
 import signal
 import sys
 
-from inverse_dynamics_node.ros.middleware import start_ros
 import numpy as np
 import rclpy
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 APPROACH = 0.2  # [rad/s, m/s]: mean speed to the begin of the motion
 PERIOD, PATIENCE = 0.1, 10.0  # [s]: between points, which are averages; for answers of the node
 speed = float(sys.argv[1]) if len(sys.argv) > 1 else 0.5
-start_ros()  # without shared memory, because it could delay the driver
+os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')  # shared memory may delay drivers
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 stopped, names, latest, times, rows = [], [], {}, [], []
 signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
 node = rclpy.create_node('record_and_replay')

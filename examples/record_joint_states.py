@@ -9,12 +9,13 @@ alternative.
 """
 
 import csv
+import os
 from pathlib import Path
 import signal
 import sys
 
-from inverse_dynamics_node.ros.middleware import start_ros
 import rclpy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 
@@ -24,7 +25,8 @@ if path.exists():
     sys.exit(f'{path}: exists; a recording is not replaced, choose another name')
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda number, _: stopped.append(number))
-start_ros()  # without shared memory, because it could delay the driver
+os.environ.setdefault('FASTDDS_BUILTIN_TRANSPORTS', 'UDPv4')  # shared memory may delay drivers
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node('record_joint_states')
 names, columns, count = [], [], 0
 

@@ -37,7 +37,6 @@ LASTING = (
     'inverse_dynamics simulate',
     'ros2 launch',
     'ros2 run',
-    'ros2 topic pub -r',
     'python examples/',
 )
 MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:=my_arm.urdf com'
@@ -45,7 +44,8 @@ LEFT_NODE = MAIN_NODE.replace('com', 'namespace:=left')
 FASTER = {
     'simulate my_arm.urdf': 'simulate my_arm.urdf --rate 200',
     'watch --for 60': 'watch --for 2',
-    'move.yaml 0.2': 'move.yaml 2.0',
+    '{sec: 13}': '{sec: 6}',
+    '{sec: 8}': '{sec: 4}',
     'start_ramp: 3.0': 'start_ramp: 0.5',
     'stop_ramp: 2.0': 'stop_ramp: 0.5',
 }
@@ -88,6 +88,8 @@ class Session:
                 )
 
     def run_line(self, line):
+        for file in re.findall(r'"\$\(cat (.*?)\)"', line):  # the files contain no quotes
+            line = line.replace(f'"$(cat {file})"', f"'{(self.folder / file).read_text()}'")
         program, *arguments = shlex.split(line)
         if program == 'ros2':
             with self.log.open('a') as log, contextlib.redirect_stdout(log):
@@ -168,7 +170,7 @@ def test_every_command_runs_and_prints_what_the_page_shows(session):
             continue
         for long, short in FASTER.items():
             text = text.replace(long, short)
-        session.stop('ros2 topic pub -r', 'python')
+        session.stop('python')
         if text.startswith(MAIN_NODE):
             session.stop(MAIN_NODE)
         if '--driver' in text:
@@ -179,9 +181,6 @@ def test_every_command_runs_and_prints_what_the_page_shows(session):
         ran += 1
         if text.startswith('python examples/record'):
             session.wait_until_recorded('recording.csv')
-        elif text.startswith('python'):
-            session.wait_for('to the first point')
-            session.stop('python')  # prints the errors so far
     assert ran > 20
     assert 'Traceback' not in session.log.read_text()
 

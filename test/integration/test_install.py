@@ -98,7 +98,7 @@ def test_documented_build_starts_and_puts_the_command_on_the_path(tmp_path, doma
     for name in ('inverse_dynamics', 'inverse_dynamics_node'):
         assert f'{tmp_path}/install/inverse_dynamics_node/bin/{name}\n' in result.stdout
         assert f'{name} {declared}\n' in result.stdout
-    assert {'follow_trajectory.py', 'stanford.urdf'} <= {*result.stdout.split()}
+    assert {'park.py', 'stanford.urdf'} <= {*result.stdout.split()}
     # Without shared memory, local_udp.xml is installed.
     assert shared_memory_of_a_node(['sh', '-c', START], tmp_path, environment) == []
 
