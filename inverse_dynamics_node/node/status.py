@@ -204,9 +204,11 @@ def _values_of_robot(
 
 
 def _values_of_trajectory(following: Following) -> dict[str, Any]:
-    doing = 'followed' if following.time_left else 'held'
+    doing = ''
+    if following.is_active:
+        doing = 'followed' if following.time_left else 'held'
     return {
-        'trajectory': doing if following.is_active else following.reason or None,
+        'trajectory': ': '.join(filter(None, (doing, following.reason))) or None,
         'trajectory progress [%]': round(100.0 * following.progress, 1),
         'trajectory time left [s]': round(following.time_left, 3),
         'trajectory largest error [rad, m]': float(following.largest_error.max()),

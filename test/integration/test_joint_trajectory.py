@@ -117,3 +117,17 @@ def test_commands_continue_while_a_long_trajectory_is_read_and_an_empty_one_is_q
         robot.wait_for_text(node, text)
     robot.wait_for_command(HOLD)
     wait_for_status('reference', b'\0', 'followed', 'trajectory', 'followed')
+
+
+def test_after_a_suspension_the_arm_is_held_where_it_is_found(run_node, robot, wait_for_status):
+    robot.publish_state(NAMES, Q, ZERO)
+    node = run_node(mode='computed_torque', **PATIENT)
+    robot.wait_for_command(HOLD)
+    robot.publish_once(TOPIC, trajectory([Q + 0.05], [60.0], NAMES))
+    wait_for_status('reference', b'\0', 'followed', 'trajectory', 'followed')
+    node.interrupt(signal.SIGSTOP)
+    sent = robot.sent
+    robot.wait_until(lambda: robot.sent > sent + 100, 'a second')
+    node.interrupt(signal.SIGCONT)
+    wait_for_status('reference', b'\0', 'followed', 'trajectory', 'held: there was no joint state')
+    robot.wait_for_command(HOLD)
