@@ -37,7 +37,7 @@ PICTURES = {
     'effort': 'effort config/stanford.urdf doc/stanford_pick.yaml --payload 2 --link tool0',
     'compare': 'compare config/stanford.urdf run',
     'identify': 'identify my_arm.urdf run_1.csv --validate run_2.csv --output calibrated.urdf'
-    ' --parameters node.yaml --json report.json',
+    ' --parameters node.yaml',
     'closed_loop': 'demo config/stanford.urdf --picture closed_loop.png',
 }
 

@@ -3,21 +3,11 @@ Regressor columns, and least-squares fits.
 
 A column contains the efforts for one unit of an unknown. The efforts are linear in all unknowns,
 which are inertial parameters, gravity and friction coefficients.
-
-The efforts depend only on some combinations of the inertial parameters, called base parameters. A
-QR decomposition with pivoting finds the base parameters from a regressor at random states [1]_.
-
-References
-----------
-.. [1] M. Gautier, "Numerical calculation of the base inertial parameters of robots", Journal of
-   Robotic Systems 8(4), 1991.
-
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +17,6 @@ from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 """Symbols of mass, first moments, and inertia about the origin of the body frame."""
-INDEPENDENT = 1e-8
-"""A column is independent if its pivot exceeds this fraction of the largest pivot."""
 STATES_AT_ONCE = 2000  # limits the memory for regressors
 
 
@@ -128,47 +116,6 @@ SECOND_MOMENTS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 """Axes of the second moments xx, yy, zz, xy, xz and yz."""
 _MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), *SECOND_MOMENTS
 """Row and column of each payload parameter in the pseudo-inertia."""
-
-
-# ---- Base parameters -----------------------------------------------------------------------
-
-
-class BaseParameters(NamedTuple):
-    """Combinations of inertial parameters that determine the efforts."""
-
-    combinations: Floats
-    """Factor of each parameter in each combination, shape (combinations, parameters)."""
-    leading: Integers
-    """
-    Index of the leading parameter of each combination. A leading parameter has the factor 1 in one
-    combination, and 0 in all other combinations.
-    """
-
-    def names(self, links: tuple[str, ...]) -> list[str]:
-        """Return the names of the leading parameters, such as ``mx of forearm``."""
-        return [
-            f'{NAMES[k % PARAMETERS]} of {links[k // PARAMETERS]}' for k in self.leading.tolist()
-        ]
-
-
-def base_parameters(matrix: Floats) -> BaseParameters:
-    """
-    Find the base parameters from a regressor at random states, shape (rows, parameters).
-
-    Among linearly dependent columns, those with the largest norms become the leading parameters.
-
-    """
-    from scipy.linalg import qr, solve_triangular
-
-    triangle, order = qr(matrix, mode='r', pivoting=True)
-    sizes = np.abs(np.diagonal(triangle))
-    rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes[0]))
-    combinations = np.zeros((rank, matrix.shape[1]))
-    combinations[:, order[:rank]] = np.eye(rank)
-    combinations[:, order[rank:]] = solve_triangular(
-        triangle[:rank, :rank], triangle[:rank, rank:]
-    )
-    return BaseParameters(combinations, order[:rank])
 
 
 # ---- Least squares -------------------------------------------------------------------------

@@ -151,7 +151,7 @@ def measure_payload(
             'joint moves'
         )
     joints = measured_joints(robot, [loaded, empty])
-    motion, other = (run.motion for run in prepare_all(robot, [loaded, empty], joints))
+    motion, other = prepare_all(robot, [loaded, empty], joints)
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
     smooth = resampler(motion, WINDOW)

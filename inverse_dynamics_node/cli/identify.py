@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from functools import partial
-import json
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from ..robot.kinematics import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments
-from .console import check_outputs, progress, say, show, write_file
+from .console import check_outputs, print_json, progress, say, show, write_file
 from .pictures.identify import draw
 from .pictures.style import try_to_draw
 from .recordings import read_recording
@@ -62,8 +62,8 @@ Where the recordings give little information, the result stays close to the URDF
 always physically possible. The identified model is accepted only if it predicts unseen data better
 than the URDF with fitted friction. Otherwise, only the friction is written.
 
-exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments. The key `accepted` of
-the JSON report says whether the identified model was accepted."""
+exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments. With --json, the key
+`accepted` says whether the identified model was accepted."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -94,7 +94,7 @@ def make_parser() -> argparse.ArgumentParser:
     arguments.add_output(
         parser, '--parameters', 'friction and armature, as parameters of the node'
     )
-    arguments.add_output(parser, '--json', 'the report as JSON')
+    arguments.add_json(parser)
     parser.add_argument(
         '--currents',
         action='store_true',
@@ -119,7 +119,6 @@ def run(options: argparse.Namespace) -> int:
         {
             '--output': options.output,
             '--parameters': options.parameters,
-            '--json': options.json,
             '--picture': arguments.picture_or(options, picture),
         },
         options.force,
@@ -151,13 +150,16 @@ def run(options: argparse.Namespace) -> int:
         *(ModelWarning(text, hint) for text, hint in result.warnings),
     ]
     # The files come first, because a pipe such as `| head` may end the program during the report.
-    files = _write(result, source, options, warnings)
-    _show(result, notes, warnings)
-    print('\n'.join(files), end='\n' if files else '')
+    files = _write(result, source, options)
     names = ', '.join(path.name for path in options.recordings)
     drawing = partial(draw, result, f'{robot.name}: {names}')
     if path := try_to_draw(drawing, options, picture):
-        print(f'picture: {path}')
+        files.append(f'picture: {path}')
+    if options.json:
+        print_json(as_json(result, notes) | {'warnings': [*map(asdict, warnings)]})
+    else:
+        _show(result, notes, warnings)
+        print('\n'.join(files), end='\n' if files else '')
     return 0
 
 
@@ -203,10 +205,7 @@ def _show(
 
 
 def _write(
-    result: IdentificationResult,
-    source: Path | str,
-    options: argparse.Namespace,
-    warnings: list[ModelWarning],
+    result: IdentificationResult, source: Path | str, options: argparse.Namespace
 ) -> list[str]:
     """Write the files, and return a line of text for each file."""
     lines = []
@@ -217,8 +216,4 @@ def _write(
     if options.parameters:
         write_file(options.parameters, identified_parameters(result).encode())
         lines.append(f'parameters of the node: {options.parameters}')
-    if options.json:
-        text = json.dumps(as_json(result, warnings), indent=2, ensure_ascii=False)
-        write_file(options.json, f'{text}\n'.encode())
-        lines.append(f'report: {options.json}')
     return lines

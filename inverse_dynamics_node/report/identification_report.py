@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 import math
 from typing import Any
 
-import numpy as np
-
 from ..analysis.identification import BodyResult, IdentificationResult, JointResult
 from ..errors import significant
-from ..robot.model import Floats, ModelWarning
+from ..robot.model import Floats
 from .tables import motion_notes, table, with_error
-
-DETERMINED = 0.5
-"""A mass is determined if recordings provide at least this fraction of the information on it."""
-NOTED_CHANGE = 0.1
-"""Relative change above which an undetermined mass gets a note."""
 
 
 def residual_table(result: IdentificationResult) -> str:
@@ -29,23 +21,18 @@ def residual_table(result: IdentificationResult) -> str:
             significant(joint.unseen.friction),
             significant(joint.unseen.identified),
             significant(joint.noise, 2),
-            significant(joint.unsmoothed),
             joint.unit,
-            significant(joint.training.friction),
-            significant(joint.training.identified),
         )
         for joint in result.joints
     ]
-    columns = ('joint', 'measured', 'URDF', '+ friction', 'identified', 'noise', 'raw', '',
-               'fitted: + friction', 'identified')  # fmt: skip
+    columns = 'joint', 'measured', 'URDF', '+ friction', 'identified', 'noise', ''
     notes = (
         'RMS of the measured effort and of the residuals of three models, smoothed over '
-        f'{1e3 * result.unseen.smoothing:.0f} ms. Left columns: unseen data '
-        f'({result.unseen.description}). Right columns: the data that were fitted. Noise: '
-        'residual that no model can explain, estimated from the high frequencies of the efforts. '
-        'Raw: residual of the identified model without smoothing.',
+        f'{1e3 * result.unseen.smoothing:.0f} ms. Unseen data: {result.unseen.description}. '
+        'Noise: residual that no model can explain, estimated from the high frequencies of the '
+        'efforts.',
     )
-    return table('Measured minus modelled efforts', columns, rows, notes, [7])
+    return table('Measured minus modelled efforts of unseen data', columns, rows, notes, [6])
 
 
 def friction_table(result: IdentificationResult) -> str:
@@ -107,46 +94,30 @@ def body_table(result: IdentificationResult) -> str:
     """Return masses and centres of mass before and after the identification."""
     rows = []
     for body in result.bodies:
-        mark = ' *' if _follows_others(body) else ''
         rows.append(
             (
                 body.link,
                 significant(body.mass_before, 4),
-                with_error(body.mass, body.mass_error) + mark,
+                with_error(body.mass, body.mass_error),
                 _millimetres(body.com_before),
                 _millimetres(body.com),
                 f'{1e3 * float(max(body.com_error)):.0f}',
-                f'{body.data_fraction:.0%}',
             )
         )
-    columns = ('link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±',
-               'on its own')  # fmt: skip
+    columns = 'link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±'
     notes = [
-        'On its own: share of the information about this mass that comes from the recordings, '
-        'whatever the other masses are; the rest comes from the robot description. A mass that '
-        'influences no effort keeps its value. Centres of mass are in the frame of the joint that '
-        'moves the link.',
-    ]
-    if any(map(_follows_others, result.bodies)):
-        notes.append(
-            '*: the recordings hardly determine this mass on its own. The mass changed together '
-            'with other parameters, because the efforts depend only on combinations of '
-            'parameters. The efforts are right, but the mass may be wrong.'
-        )
-    notes += [
-        f'{body.link} stands for the links {", ".join(body.links)}, joined by fixed joints.'
-        for body in result.bodies
-        if len(body.links) > 1
+        'Efforts depend only on combinations of these values. A single mass with a large error '
+        'may be wrong although the efforts are right. Centres of mass are in the frame of the '
+        'joint that moves the link.',
+        *(
+            f'{body.link} stands for the links {", ".join(body.links)}, joined by fixed joints.'
+            for body in result.bodies
+            if len(body.links) > 1
+        ),
     ]
     if not result.accepted:
         notes.append('These values were not accepted and are not written to the URDF.')
     return table('Bodies', columns, rows, notes)
-
-
-def _follows_others(body: BodyResult) -> bool:
-    """Return whether a mass changed although the recordings hardly determine this mass."""
-    change = abs(body.mass - body.mass_before) / body.mass_before
-    return body.data_fraction < DETERMINED and change > NOTED_CHANGE
 
 
 def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
@@ -180,35 +151,27 @@ def _millimetres(position: Floats) -> str:
 # ---- JSON ----------------------------------------------------------------------------------
 
 
-def as_json(result: IdentificationResult, warnings: Sequence[ModelWarning]) -> dict[str, Any]:
-    """Return the result and the printed warnings as values for JSON, in SI units."""
-    report: dict[str, Any] = _plain(
-        {
-            'robot': result.robot.name,
-            'accepted': result.accepted,
-            'verdict': result.verdict,
-            'unseen_data': result.unseen.description,
-            'unseen_smoothing_window': result.unseen.smoothing,
-            'joints': [_joint(joint) for joint in result.joints],
-            'bodies': [_body(body, result.accepted) for body in result.bodies],
-            'base_parameters': [
-                {'name': name, 'value': value, 'standard_error': error}
-                for name, value, error in result.base_parameters
-            ],
-            'cut_off_frequency': result.signals[0].cut_off,
-            'weight_of_urdf': result.urdf_weight,
-            'effort_scale': result.scale and result.scale[0],
-            'effort_delay': result.delay,
-            'effort_delay_error': result.delay_error,
-            'effort_delay_removed': result.delay_removed,
-            'smoothing_window': result.smoothing,
-            'samples': result.sample_count,
-            'duration': result.duration,
-            'warnings': [f'{warning}: {warning.hint}' for warning in warnings],
-            'notes': notes_of(result),
-        }
-    )
-    return report
+def as_json(result: IdentificationResult, notes: tuple[str, ...]) -> dict[str, Any]:
+    """Return the result and notes about the recordings as values for JSON, in SI units."""
+    return {
+        'robot': result.robot.name,
+        'accepted': result.accepted,
+        'verdict': result.verdict,
+        'unseen_data': result.unseen.description,
+        'unseen_smoothing_window': result.unseen.smoothing,
+        'joints': [_joint(joint) for joint in result.joints],
+        'bodies': [_body(body, result.accepted) for body in result.bodies],
+        'cut_off_frequency': result.signals[0].cut_off,
+        'weight_of_urdf': result.urdf_weight,
+        'effort_scale': result.scale and result.scale[0],
+        'effort_delay': result.delay,
+        'effort_delay_error': result.delay_error,
+        'effort_delay_removed': result.delay_removed,
+        'smoothing_window': result.smoothing,
+        'samples': result.sample_count,
+        'duration': result.duration,
+        'notes': [*notes_of(result), *notes],
+    }
 
 
 def _body(body: BodyResult, accepted: bool) -> dict[str, Any]:
@@ -223,24 +186,9 @@ def _joint(joint: JointResult) -> dict[str, Any]:
         'unit': joint.unit,
         'measured': joint.measured,
         **vars(joint.unseen),
-        'identified_unsmoothed': joint.unsmoothed,
         'noise': joint.noise,
-        'training': vars(joint.training),
         **{keys.get(name, name): value for name, value in vars(joint.terms).items()},
         'friction_unknown_because': joint.unknown_because,
         'coupled_with': joint.coupled_with,
         'gain': joint.gain,
     }
-
-
-def _plain(value: Any) -> Any:
-    """Convert values to types that JSON supports, and infinite numbers and NaN to None."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(each) for each in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -59,7 +59,8 @@ def link_factors(regression: Regression, model: Model, used: Booleans) -> tuple[
     factors and their standard errors, shape (joints,).
 
     """
-    rigid, terms = regression.rigid(model.bodies), regression.terms(model)
+    rigid = regression.rigid(model.bodies)
+    terms = regression.terms(model, rigid)
     factors, errors = np.zeros((2, len(used)))
     for j, chosen in enumerate(used):
         table = np.column_stack([rigid[:, j], terms[:, j][:, chosen]])
@@ -124,12 +125,12 @@ def estimate_delay(fit: RobotFit) -> tuple[float, float]:
     regression, model, weights = fit.equations.regression, fit.model, fit.weights
     predicted = regression.predict(model)
     residual = regression.efforts - predicted
-    effect = -_rate(regression, predicted)
+    effect = -np.gradient(predicted, regression.times, axis=0)
     count = model.bodies.size
     vector = np.zeros(count + model.joints.size)
     for j in range(len(model.joints)):
         vector[:count] += weights[j] * effect[:, j] @ regression.bodies[:, j]
-    for j, owner, columns in regression.actions(model):
+    for j, owner, columns in regression.actions(model, regression.rigid(model.bodies)):
         vector[count + TERMS * owner + np.arange(TERMS)] += weights[j] * effect[:, j] @ columns
     vector = vector[fit.unknowns]
     total = float((weights * effect**2).sum())
@@ -149,19 +150,6 @@ def _shifted(motion: Motion, delay: float) -> Floats:
     efforts = motion.efforts.copy()
     for begin, end in pieces(motion.times):
         times = motion.times[begin:end]
-        if len(times) > 3:
-            later = np.clip(times + delay, times[0], times[-1])
-            efforts[begin:end] = CubicSpline(times, efforts[begin:end])(later)
+        later = np.clip(times + delay, times[0], times[-1])
+        efforts[begin:end] = CubicSpline(times, efforts[begin:end])(later)
     return np.asarray(efforts)
-
-
-def _rate(regression: Regression, values: Floats) -> Floats:
-    """Differentiate samples, one per row, with respect to time, motion by motion."""
-    rates, first = np.zeros_like(values), 0
-    for smooth in regression.resamplers:
-        for begin, end in pieces(smooth.times):
-            part = slice(first + begin, first + end)
-            if end - begin > 2:
-                rates[part] = np.gradient(values[part], smooth.times[begin:end], axis=0)
-        first += len(smooth.times)
-    return rates

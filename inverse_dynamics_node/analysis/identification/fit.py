@@ -36,7 +36,7 @@ Weights to try for the robot description in the fit, largest first.
 With a weight of 1, a mass that the recordings do not determine has a standard error of 100 %.
 """
 EXPECTED_ERROR = 0.3
-"""Expected relative error of masses in a robot description."""
+"""Least relative error of masses in a robot description, for the errors of the result."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
 """The solver stops when the squared Newton decrement is smaller than this."""
@@ -123,7 +123,7 @@ class Equations:
         self.regression, self.block_count = regression, regression.block_count
         count = model.bodies.size
         self.size = count + model.joints.size
-        actions = regression.actions(model)
+        actions = regression.actions(model, regression.rigid(model.bodies))
         self.index: list[Integers] = []
         self.blocks: list[Floats] = []
         """For each joint, products of all columns and the target, the last for other rows."""
@@ -230,22 +230,20 @@ def with_best_urdf_weight(fit: RobotFit) -> RobotFit:
     return fit._replace(urdf_weight=URDF_WEIGHTS[best]).again(fit.model, fit.used)
 
 
-def mass_information(fit: RobotFit) -> Floats:
+def body_covariance(fit: RobotFit) -> Floats:
     """
-    Return what fraction of the information about each mass comes from the recordings.
+    Return the covariance of the parameters of all bodies, shape (10 per body, 10 per body).
 
-    The remaining information comes from the robot description. The masses in the description are
-    assumed to have relative errors of `EXPECTED_ERROR`.
+    The fit may trust the robot description more than `EXPECTED_ERROR` allows. The covariance does
+    not, so that a mass that the recordings do not determine has at least this error.
 
     """
     count = fit.model.bodies.size
-    variances = np.diagonal(np.linalg.inv(fit.hessian))[:count:PARAMETERS]
-    # With the divergence alone, the relative standard error of a mass would be 1 / sqrt(weight).
-    total = 1.0 / np.maximum(variances, 1e-300)
-    own = fit.urdf_weight / fit.model.bodies[:, 0] ** 2
-    measured = np.maximum(total - own, 0.0)
-    expected = 1.0 / (EXPECTED_ERROR * fit.prior.bodies[:, 0]) ** 2
-    return np.asarray(measured / (measured + expected))
+    x = np.concatenate([fit.model.bodies.ravel(), fit.model.joints[fit.used]])
+    excess = max(0.0, fit.urdf_weight - EXPECTED_ERROR**-2)
+    nothing = np.zeros_like(fit.prior.positive_weights)
+    prior = replace(fit.prior, weight=excess, positive_weights=nothing)
+    return np.asarray(np.linalg.inv(fit.hessian - prior.derivatives(x)[1])[:count, :count])
 
 
 # ---- The solver ----------------------------------------------------------------------------
@@ -350,7 +348,12 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
         if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
             raise np.linalg.LinAlgError('a parameter does not affect the efforts')
         size = 1.0 / np.sqrt(np.diagonal(hessian))
-        factor = cho_factor(hessian * np.outer(size, size) + 1e-12 * np.eye(len(x)))
+        try:
+            factor = cho_factor(hessian * np.outer(size, size) + 1e-12 * np.eye(len(x)))
+        except np.linalg.LinAlgError:
+            if (x == start).all():
+                raise
+            break  # a bad model drives a body to the edge of what is possible
         step = -size * cho_solve(factor, size * gradient)
         decrement = -float(gradient @ step)
         if decrement < _DECREMENT:

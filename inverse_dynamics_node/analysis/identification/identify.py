@@ -30,7 +30,7 @@ from .regression import (
     COULOMB,
     DAMPING,
     IdentificationProblem,
-    identified_bodies,
+    IdentifiedBodies,
     LOAD,
     Model,
     OFFSET,
@@ -80,7 +80,7 @@ def identify_parameters(
     """
     joints = measured_joints(robot, recordings)
     gravity = np.array(gravity, dtype=float)
-    problem = IdentificationProblem(identified_bodies(robot), joints, gravity, payload, currents)
+    problem = IdentificationProblem(IdentifiedBodies(robot), joints, gravity, payload, currents)
     training = prepare_all(robot, recordings, joints)
     unseen = prepare_all(robot, validation, joints)
     progress(0.2)
@@ -153,7 +153,7 @@ def remove_delay(
     Returns the corrected data, the fit, and the delay with its standard error [s].
 
     """
-    is_filtered = any(math.isfinite(run.derived.cut_off) for run in data.runs)
+    is_filtered = any(math.isfinite(motion.cut_off) for motion in data.motions)
     for _ in range(DELAY_ROUNDS):
         removed = data.correction.delay
         more, error = estimate_delay(fit)
@@ -180,7 +180,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
     for _ in range(GAIN_ROUNDS):
         factors, _ = link_factors(data.regression, fit.model, fit.used)
         change = np.where(known, 1.0 / np.clip(factors, 0.7, 1.4), 1.0)
-        if not data.problem.has_known_mass and known.any():  # restores the mean of the gains
+        if data.problem.payload is None and known.any():  # restores the mean of the gains
             change *= np.exp(-np.mean(np.log(change[known])))
         gains = data.correction.gains * change
         data = data.corrected(data.correction._replace(gains=gains))

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..recordings.resampling import pieces
 from ..recordings.signals import derive, Motion, Recording, without_turns
 from .corrections import EffortCorrection
-from .regression import IdentificationProblem, Regression
+from .regression import IdentificationProblem, Regression, regression_of
 
-HIGHEST_RATE = 250.0
+HIGHEST_RATE = 100.0
 """Highest sampling rate of prepared recordings [Hz]; smoothed signals do not need more."""
 SMOOTHING = 0.2
 """
@@ -48,19 +46,6 @@ GOOD_RECORDINGS = (
 )
 
 
-class PreparedRecording(NamedTuple):
-    """One recording, prepared for the regression."""
-
-    motion: Motion
-    """Motion of the whole robot, with efforts of the measured joints."""
-    noise: Floats
-    """Noise that remains in the smoothed efforts, shape (joints,) [N m or N]."""
-    qd_noise: Floats
-    """Noise of the recorded velocities, shape (joints,) [rad/s or m/s]."""
-    derived: Motion
-    """Motion of the recorded joints, with notes about the signals."""
-
-
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
     """
     Return the joints whose efforts vary in every recording.
@@ -84,45 +69,21 @@ def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[
 
 def prepare_all(
     robot: RobotModel, recordings: Sequence[Recording], joints: Sequence[int]
-) -> list[PreparedRecording]:
+) -> list[Motion]:
     """
-    Smooth all recordings.
+    Smooth all recordings, and return motions of all joints of the robot.
 
-    The result contains the efforts of `joints`. Joints without recorded positions are assumed to
-    stay at zero. Raises RecordingError if a recording is too short, or if one of the joints has no
-    measured effort.
+    The motions contain the efforts, and the noise, of `joints`. Joints without recorded positions
+    are assumed to stay at zero. Raises RecordingError if a recording is too short, or if one of
+    the joints has no measured effort.
 
     """
     return [_prepare(robot, without_turns(robot, each), joints) for each in recordings]
 
 
-def _prepare(robot: RobotModel, recording: Recording, joints: Sequence[int]) -> PreparedRecording:
-    """Prepare one recording; joints without recorded positions are assumed to stay at zero."""
-    derived = derive(recording)
-    step = max(1, int(1.0 / (derived.period * HIGHEST_RATE) + 1e-9))
-    chosen = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
-    q, qd, qdd = np.zeros((3, len(chosen), len(robot.joint_names)))
-    index = [robot.joint_names.index(name) for name in derived.joint_names]
-    q[:, index], qd[:, index] = derived.q[chosen], derived.qd[chosen]
-    qdd[:, index] = derived.qdd[chosen]
-    columns = _columns(derived, [robot.joint_names[joint] for joint in joints])
-    motion = Motion(
-        derived.times[chosen],
-        q,
-        qd,
-        qdd,
-        derived.efforts[chosen][:, columns],
-        2 * (derived.window // (2 * step)) + 1,
-        derived.degree,
-        raw_efforts=derived.raw_efforts[chosen][:, columns],
-    )
-    return PreparedRecording(
-        motion, derived.effort_noise[columns], derived.qd_noise[columns], derived
-    )
-
-
-def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
-    """Return the column of each joint; raise RecordingError if a joint has no efforts."""
+def _prepare(robot: RobotModel, recording: Recording, joints: Sequence[int]) -> Motion:
+    derived = derive(recording, HIGHEST_RATE)
+    names = [robot.joint_names[joint] for joint in joints]
     is_measured = np.isfinite(derived.efforts).any(axis=0)
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
@@ -131,7 +92,20 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
             f'{", ".join(missing)}; expected efforts of the same joints as in the fitted '
             'recordings'
         )
-    return [derived.joint_names.index(name) for name in names]
+    q, qd, qdd = np.zeros((3, len(derived.times), len(robot.joint_names)))
+    index = [robot.joint_names.index(name) for name in derived.joint_names]
+    q[:, index], qd[:, index], qdd[:, index] = derived.q, derived.qd, derived.qdd
+    columns = [derived.joint_names.index(name) for name in names]
+    return derived._replace(
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        efforts=derived.efforts[:, columns],
+        joint_names=robot.joint_names,
+        effort_noise=derived.effort_noise[columns],
+        qdd_noise=derived.qdd_noise[columns],
+        qd_noise=derived.qd_noise[columns],
+    )
 
 
 # ---- Rows of a regression ------------------------------------------------------------------
@@ -142,7 +116,7 @@ class TrainingData:
     """The recordings to fit, and their regression."""
 
     problem: IdentificationProblem
-    runs: Sequence[PreparedRecording]
+    motions: Sequence[Motion]
     duration: float
     """Total duration of the recordings [s]."""
     moving: Booleans
@@ -153,25 +127,17 @@ class TrainingData:
     regression: Regression
     """The smoothed rows with corrected efforts."""
 
-    @property
-    def motions(self) -> list[Motion]:
-        """The motions of the recordings."""
-        return [run.motion for run in self.runs]
-
     def corrected(self, correction: EffortCorrection) -> TrainingData:
         """Return the data with another correction of the efforts."""
         regression = self.regression.with_efforts(correction.apply(self.motions))
         return replace(self, correction=correction, regression=regression)
 
 
-def training_data(
-    problem: IdentificationProblem, runs: Sequence[PreparedRecording]
-) -> TrainingData:
+def training_data(problem: IdentificationProblem, motions: Sequence[Motion]) -> TrainingData:
     """Build the regression; raise RecordingError if the recordings are too short."""
-    motions = [run.motion for run in runs]
     moving = _moving_joints(problem, motions)
     duration = sum(float(np.ptp(motion.times)) for motion in motions)
-    regression = Regression(problem, motions, SMOOTHING, BLOCKS)
+    regression = regression_of(problem, motions, SMOOTHING, BLOCKS)
     if duration < LEAST_DURATION or not len(regression.efforts):
         raise RecordingError(
             f'after smoothing, the recordings last {duration:.2g} s, expected at least '
@@ -180,10 +146,10 @@ def training_data(
     m = len(problem.joints)
     return TrainingData(
         problem,
-        runs,
+        motions,
         duration,
         moving,
-        NOISES_IN_WIDTH * np.max([run.qd_noise for run in runs], axis=0),
+        NOISES_IN_WIDTH * np.max([motion.qd_noise for motion in motions], axis=0),
         EffortCorrection(0.0, np.ones(m), np.zeros(m, dtype=bool)),
         regression,
     )

@@ -33,57 +33,62 @@ from ..columns import body_columns
 from ..recordings.resampling import Resampler, resampler
 from ..recordings.signals import Motion
 
-RANDOM_STATES = 60
 ARMATURE, DAMPING, COULOMB, LOAD, SPRING, OFFSET = range(6)
-TERMS = 6
+NAMES = 'armature', 'damping', 'coulomb', 'load_friction', 'stiffness', 'offset'
+TERMS = len(NAMES)
 """Number of terms of each joint."""
 OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD]
 """Terms of a coupled drive that also act on the preceding joint."""
 SIGNED = np.array([False, False, False, False, True, True])
 """Whether each term may have a negative factor."""
-FIXED_RATIO = 0.995
-"""Two joints moved in a fixed ratio if their velocities have at least this correlation."""
 ROWS_AT_ONCE = 500
 """Number of rows for which regressors are computed at once; this limits the memory."""
 
 
-@dataclass(frozen=True, eq=False)
 class IdentifiedBodies:
     """
-    The bodies to identify.
+    The bodies to identify, which are all bodies with mass.
 
     Links that are connected by fixed joints form one body. Recordings cannot distinguish these
-    links, so the links of a body are identified together.
+    links, so the links of a body are identified together. `bodies` contains indices in the robot
+    model, and `links` the links with mass of each body. `before` contains the parameters in the
+    robot description, relative to the body frames, shape (bodies, 10). In `reference`, flat and
+    impossible links are enlarged.
+
+    Raises ConfigurationError if no moving link has mass.
 
     """
 
-    robot: RobotModel
-    bodies: tuple[int, ...]
-    """Indices of the identified bodies in the robot model."""
-    links: tuple[tuple[int, ...], ...]
-    """Links of each body that have mass and may change."""
-    names: tuple[str, ...]
-    """Names of the bodies, taken from the first link of each body."""
-    before: Floats
-    """Parameters in the robot description, relative to the body frames, shape (bodies, 10)."""
-    reference: Floats
-    """The same parameters, but flat or impossible bodies are enlarged."""
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot = robot
+        on_body = [
+            np.flatnonzero((robot.link_body == body) & (robot.link_mass > 0.0)).tolist()
+            for body in range(len(robot.parent))
+        ]
+        self.bodies = [body for body in range(1, len(robot.parent)) if on_body[body]]
+        if not self.bodies:
+            raise ConfigurationError(
+                f"robot '{robot.name}' has no moving link with mass to identify"
+            )
+        self.links: list[list[int]] = [on_body[body] for body in self.bodies]
+        bodies = zip(robot.mass, robot.com, robot.inertia, strict=True)
+        parameters = np.array([RigidBody(*body).parameters() for body in bodies])
+        self.before: Floats = parameters[self.bodies]
+        self.reference: Floats = np.array([sum(map(self._link, each)) for each in self.links])
 
-    def fixed_robot(self) -> RobotModel:
-        """Return the robot without the masses of the identified links."""
-        return self.robot_with(np.zeros_like(self.before))
+    def _link(self, link: int) -> Floats:
+        """Return the parameters of a link, enlarged if flat, in the frame of its body."""
+        robot = self.robot
+        own = RigidBody(robot.link_mass[link], robot.link_com[link], robot.link_inertia[link])
+        placed = own.rotate(robot.link_rotation[link]).shift(robot.link_position[link])
+        return moved_inside(placed.parameters())
 
     def robot_with(self, parameters: Floats) -> RobotModel:
-        """Return the robot with new parameters of the identified bodies, shape (bodies, 10)."""
+        """Return the robot with new parameters of the bodies, shape (bodies, 10)."""
         robot = self.robot
         mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
-        for k, b in enumerate(self.bodies):
-            own = RigidBody(mass[b], com[b], inertia[b]).parameters()
-            own = own - self.before[k] + parameters[k]
-            if own[0] <= 1e-9 * mass[b]:
-                mass[b], com[b], inertia[b] = 0.0, 0.0, 0.0
-            else:
-                mass[b], com[b], inertia[b] = rigid_body(own)
+        for b, own in zip(self.bodies, parameters, strict=True):
+            mass[b], com[b], inertia[b] = rigid_body(own)
         return replace(robot, mass=mass, com=com, inertia=inertia)
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
@@ -96,57 +101,15 @@ class IdentifiedBodies:
 
         """
         inertials = {}
-        for k, links in enumerate(self.links):
-            after = pseudo_inertias(parameters[k])
-            parts = [pseudo_inertias(_link_parameters(self.robot, link)) for link in links]
-            if len(parts) == 1:
-                changed = [after]
-            else:
-                # The first link receives the change from `before` to `reference`.
-                parts[0] = parts[0] + pseudo_inertias(self.reference[k] - self.before[k])
-                change = transport(pseudo_inertias(self.reference[k]), after)
-                changed = [change @ part @ change.T for part in parts]
-            for link, matrix in zip(links, changed, strict=True):
-                body = rigid_body(parameters_of_pseudo_inertias(matrix))
+        for links, *body in zip(self.links, self.reference, parameters, strict=True):
+            change = transport(*map(pseudo_inertias, body))
+            for link in links:
+                matrix = change @ pseudo_inertias(self._link(link)) @ change.T
+                mass, com, inertia = rigid_body(parameters_of_pseudo_inertias(matrix))
                 R, p = self.robot.link_rotation[link], self.robot.link_position[link]
-                in_link = RigidBody(body.mass, R.T @ (body.com - p), R.T @ body.inertia @ R)
+                in_link = RigidBody(mass, R.T @ (com - p), R.T @ inertia @ R)
                 inertials[self.robot.link_names[link]] = in_link
         return inertials
-
-
-def identified_bodies(robot: RobotModel) -> IdentifiedBodies:
-    """
-    Select the bodies to identify.
-
-    Raises ConfigurationError if no moving link has mass.
-
-    """
-    bodies, links = [], []
-    for body in range(1, len(robot.parent)):
-        on_body = np.flatnonzero((robot.link_body == body) & (robot.link_mass > 0.0))
-        identified = tuple(on_body.tolist())
-        if identified:
-            bodies.append(body)
-            links.append(identified)
-    if not bodies:
-        raise ConfigurationError(f"robot '{robot.name}' has no moving link with mass to identify")
-    before = np.array([sum(_link_parameters(robot, link) for link in each) for each in links])
-    return IdentifiedBodies(
-        robot=robot,
-        bodies=tuple(bodies),
-        links=tuple(links),
-        names=tuple(robot.link_names[each[0]] for each in links),
-        before=before,
-        reference=np.array([moved_inside(parameters) for parameters in before]),
-    )
-
-
-def _link_parameters(robot: RobotModel, link: int) -> Floats:
-    """Return the parameters of one link relative to the frame of its body, shape (10,)."""
-    own = RigidBody(robot.link_mass[link], robot.link_com[link], robot.link_inertia[link])
-    placed = own.rotate(robot.link_rotation[link]).shift(robot.link_position[link])
-    assert placed.mass > 0.0
-    return placed.parameters()
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,11 +132,6 @@ class IdentificationProblem:
         before = joints_before(self.identified.robot)[self.joints].tolist()
         return np.array([self.joints.index(k) if k in self.joints else -1 for k in before])
 
-    @property
-    def has_known_mass(self) -> bool:
-        """Whether a payload or a link that is not identified has a known mass."""
-        return self.payload is not None or bool(self.identified.fixed_robot().mass[1:].any())
-
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
         """Return the dynamics of a robot with the payload and without friction."""
         dynamics = InverseDynamics(robot, self.gravity)
@@ -192,18 +150,6 @@ class IdentificationProblem:
         states = motion.q, motion.qd, motion.qdd
         dynamics = self.dynamics(self.identified.robot)
         return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
-
-    def at_random_states(self) -> Floats:
-        """Return scaled regressor columns at random states, shape (rows, 10 per body)."""
-        robot = self.identified.robot
-        rng, n = np.random.default_rng(0), len(robot.joint_names)
-        states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
-        states *= np.array([np.pi, 3.0, 10.0])[:, None, None]
-        states[0][:, robot.is_prismatic_joint] *= 0.2
-        q, qd, qdd = states
-        columns = body_columns(self.dynamics(robot), (q, qd, qdd), self.identified.bodies)
-        table = columns[:, self.joints].reshape(-1, columns.shape[2])
-        return np.asarray(table / np.sqrt(np.mean(table**2)))
 
 
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
@@ -248,11 +194,10 @@ class Regression:
     """
     Smoothed regression rows of several motions.
 
-    `seconds` is the length of the smoothing window. `block_count` is the approximate number of
-    blocks, which are contiguous parts of the motions. `efforts` contains the measured efforts.
-    `q`, `qd` and `qdd` contain the positions, velocities and accelerations. All four have the
-    shape (rows, joints). `block` contains the block index of each row, or -1 for rows between
-    blocks.
+    Each motion has a resampler, which smooths its signals. `block` contains the block index of
+    each row, or -1 for rows between blocks. `efforts` contains the measured efforts. `q`, `qd` and
+    `qdd` contain the positions, velocities and accelerations. All four have the shape (rows,
+    joints).
 
     """
 
@@ -260,24 +205,41 @@ class Regression:
         self,
         problem: IdentificationProblem,
         motions: Sequence[Motion],
-        seconds: float,
-        block_count: int,
+        resamplers: Sequence[Resampler],
+        block: Integers,
     ) -> None:
-        self.problem, self.motions = problem, list(motions)
-        self.resamplers = [resampler(motion, seconds) for motion in motions]
+        self.problem, self.motions, self.resamplers = problem, motions, resamplers
+        self.block, self.block_count = block, int(block.max(initial=-1)) + 1
         joints = problem.joints
         self.qdd = self._smooth([motion.qdd[:, joints] for motion in motions])
         self.qd = self._smooth([motion.qd[:, joints] for motion in motions])
         self.q = self._smooth([motion.q[:, joints] for motion in motions])
         self.efforts = self._smooth([motion.efforts for motion in motions])
-        self.block = self._blocks(block_count)
-        self.block_count = int(self.block.max(initial=-1)) + 1
 
     def with_efforts(self, efforts: Sequence[Floats]) -> Regression:
         """Return the regression with other measured efforts for each motion."""
         other = copy(self)
         other.efforts = self._smooth(efforts)
         return other
+
+    @property
+    def times(self) -> Floats:
+        """Times of the rows; the motions are placed one second apart, shape (rows,) [s]."""
+        parts, start = [], 0.0
+        for smooth in self.resamplers:
+            parts.append(smooth.times - smooth.times[0] + start)
+            start = float(parts[-1][-1]) + 1.0
+        return np.concatenate(parts)
+
+    def only(self, block: int) -> Regression:
+        """Return the rows of one block, which is a part of one motion."""
+        ends = np.cumsum([len(smooth.times) for smooth in self.resamplers])
+        rows = np.split(self.block == block, ends[:-1])
+        k = next(k for k, part in enumerate(rows) if part.any())
+        resamplers = [self.resamplers[k].where(rows[k])]
+        return Regression(
+            self.problem, [self.motions[k]], resamplers, np.zeros(rows[k].sum(), dtype=int)
+        )
 
     @cached_property
     def bodies(self) -> Floats:
@@ -286,9 +248,17 @@ class Regression:
 
     @cached_property
     def known(self) -> Floats:
-        """Efforts due to the payload and to unidentified links, shape (rows, joints)."""
-        fixed = self.problem.identified.fixed_robot()
-        return self._in_parts(partial(self.problem.efforts, fixed))
+        """Efforts due to the payload, shape (rows, joints)."""
+        if self.problem.payload is None:
+            return np.zeros_like(self.q)
+        robot = self.problem.identified.robot
+        massless = replace(
+            robot,
+            mass=np.zeros_like(robot.mass),
+            com=np.zeros_like(robot.com),
+            inertia=np.zeros_like(robot.inertia),
+        )
+        return self._in_parts(partial(self.problem.efforts, massless))
 
     def rigid(self, bodies: Floats) -> Floats:
         """Return efforts of a robot with the given bodies, shape (rows, joints)."""
@@ -308,15 +278,16 @@ class Regression:
             signals.append(np.tanh(qd / model.widths))
         return self._smooth(signals, Resampler.discontinuous)
 
-    def terms(self, model: Model) -> Floats:
+    def terms(self, model: Model, rigid: Floats) -> Floats:
         """
         Return the columns of the joint terms, shape (rows, joints, 6).
 
-        The columns depend on the widths, the couplings, and the loads of the gears.
+        The columns depend on the widths, the couplings, and the loads of the gears. `rigid` are
+        the efforts of the bodies, shape (rows, joints).
 
         """
         before = self.problem.before
-        load = np.abs(self.rigid(model.bodies) + model.springs(self.q))
+        load = np.abs(rigid + model.springs(self.q))
         direction = self.direction(model)
         columns = (
             self.qdd + model.couplings * self.qdd[:, before],
@@ -328,7 +299,7 @@ class Regression:
         )
         return np.stack(columns, axis=-1)
 
-    def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
+    def actions(self, model: Model, rigid: Floats) -> list[tuple[int, int, Floats]]:
         """
         Return the columns of the joint terms for each affected joint.
 
@@ -337,7 +308,7 @@ class Regression:
         columns, shape (rows, 6).
 
         """
-        terms = self.terms(model)
+        terms = self.terms(model, rigid)
         found = [(j, j, terms[:, j]) for j in range(len(model.joints))]
         for j in np.flatnonzero(model.couplings).tolist():
             shared = np.zeros(terms[:, j].shape)
@@ -365,21 +336,10 @@ class Regression:
         chosen = [self.block == k for k in (*range(self.block_count), -1)]
         return np.array([left[rows].T @ right[rows] for rows in chosen])
 
-    @cached_property
-    def together(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of joints that moved in a fixed ratio, as indices into `problem.joints`."""
-        spread = self.qd.std(axis=0)
-        moved = np.flatnonzero(spread > 1e-6 * spread.max())
-        if len(moved) < 2:
-            return ()
-        related = np.abs(np.corrcoef(self.qd[:, moved].T)) > FIXED_RATIO
-        groups = {tuple(moved[row].tolist()) for row in related if row.sum() > 1}
-        return tuple(sorted(groups))
-
     def predict(self, model: Model) -> Floats:
         """Return modelled efforts, shape (rows, joints)."""
         efforts = self.rigid(model.bodies)
-        for joint, owner, columns in self.actions(model):
+        for joint, owner, columns in self.actions(model, efforts):
             efforts[:, joint] += columns @ model.joints[owner]
         return efforts
 
@@ -407,18 +367,29 @@ class Regression:
             found.append(smooth.in_parts(part, ROWS_AT_ONCE))
         return np.concatenate(found)
 
-    def _blocks(self, count: int) -> Integers:
-        """Return the block index of each row, or -1 near the border between two blocks."""
-        durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in self.motions]
-        numbers: list[Integers] = []
-        first = 0
-        for motion, smooth, duration in zip(self.motions, self.resamplers, durations, strict=True):
-            own = max(1, round(count * duration / sum(durations)))
-            position = (smooth.times - motion.times[0]) / duration * own
-            nearest = np.round(position)
-            is_near = np.abs(position - nearest) * duration / own < 0.5 * smooth.seconds
-            is_border = is_near & (nearest > 0) & (nearest < own)
-            block = np.minimum(position.astype(int), own - 1)
-            numbers.append(np.where(is_border, -1, first + block))
-            first += own
-        return np.concatenate(numbers)
+
+def regression_of(
+    problem: IdentificationProblem, motions: Sequence[Motion], seconds: float, block_count: int
+) -> Regression:
+    """
+    Return the regression of several motions, divided into blocks.
+
+    `seconds` is the length of the smoothing window. The number of blocks, which are contiguous
+    parts of the motions, is approximately `block_count`.
+
+    """
+    resamplers = [resampler(motion, seconds) for motion in motions]
+    durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in motions]
+    numbers: list[Integers] = []
+    first = 0
+    for motion, smooth, duration in zip(motions, resamplers, durations, strict=True):
+        own = max(1, round(block_count * duration / sum(durations)))
+        position = (smooth.times - motion.times[0]) / duration * own
+        nearest = np.round(position)
+        reach = 0.5 * smooth.seconds if seconds > 0.0 else 0.0
+        is_near = np.abs(position - nearest) * duration / own < reach
+        is_border = is_near & (nearest > 0) & (nearest < own)
+        block = np.minimum(position.astype(int), own - 1)
+        numbers.append(np.where(is_border, -1, first + block))
+        first += own
+    return Regression(problem, motions, resamplers, np.concatenate(numbers))

@@ -59,11 +59,8 @@ class JointResult:
     measured: float
     """RMS of the measured effort in unseen data [N m or N]."""
     unseen: Residuals
-    training: Residuals
     noise: float
     """Noise in the smoothed effort [N m or N]."""
-    unsmoothed: float
-    """Residual of the identified model on unseen data without smoothing [N m or N]."""
     terms: DriveTerms
     """Identified terms; if the model was not accepted, the terms of a friction-only fit."""
     unknown_because: str
@@ -95,8 +92,6 @@ class BodyResult:
     """Centre of mass in the robot description, relative to the joint frame, shape (3,) [m]."""
     com: Floats
     com_error: Floats
-    data_fraction: float
-    """How much of the information about the mass comes from the recordings, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +107,6 @@ class Unseen:
     description: str
     smoothing: float
     """Length of the smoothing window [s]."""
-    unsmoothed: Floats
-    """RMS residual of the identified model without smoothing, shape (joints,) [N m or N]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,13 +143,6 @@ class IdentificationResult:
     """Duration of the recordings [s]."""
     signals: tuple[Motion, ...]
     """The smoothed recordings, with notes about the signals."""
-    base_parameters: tuple[tuple[str, float, float], ...]
-    """
-    Name, value and standard error of each base parameter.
-
-    A base parameter is a combination of inertial parameters in joint frames. The name is that of
-    the leading inertial parameter.
-    """
     warnings: tuple[tuple[str, str], ...]
     """Warnings, each with a hint."""
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...robot.model import Booleans, Floats, RobotModel
+from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative
 from .fit import RobotFit
 from .regression import ARMATURE, LOAD, Model, moved_by, Regression, SIGNED, SPRING, TERMS
@@ -43,8 +43,8 @@ RATIO_STEPS = (1.3, 1.1, 1.03, 1.01)
 """Factors by which a coupling is refined."""
 WRIST = 3
 """Largest number of joints in a wrist."""
-INTERSECTION = 2e-3
-"""Two joint axes intersect if their distance is smaller than this [m]."""
+FIXED_RATIO = 0.995
+"""Two joints moved in a fixed ratio if their velocities have at least this correlation."""
 
 
 # ---- Friction widths -----------------------------------------------------------------------
@@ -54,13 +54,14 @@ def with_best_widths(regression: Regression, model: Model, used: Booleans) -> Mo
     """Return the model with the friction widths that fit each joint best, for given bodies."""
     fast = np.maximum(np.quantile(np.abs(regression.qd), 0.95, axis=0), 10.0 * NARROWEST)
     grid = np.geomspace(np.maximum(0.004 * fast, NARROWEST), 0.4 * fast, WIDTHS)
-    target = regression.efforts - regression.rigid(model.bodies)
-    for j, owner, columns in regression.actions(model):
+    rigid = regression.rigid(model.bodies)
+    target = regression.efforts - rigid
+    for j, owner, columns in regression.actions(model, rigid):
         if j != owner:  # a coupled drive acts on the preceding joint
             target[:, j] -= columns @ model.joints[owner]
     squares = np.zeros(grid.shape)
     for k, widths in enumerate(grid):
-        terms = regression.terms(replace(model, widths=widths))
+        terms = regression.terms(replace(model, widths=widths), rigid)
         for j, chosen in enumerate(used):
             columns = terms[:, j][:, chosen]
             squares[k, j] = fit_nonnegative(columns, target[:, j], SIGNED[chosen])[1]
@@ -158,32 +159,21 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     Return whether the drive of a joint could also turn with the preceding joint.
 
     Couplings occur in wrists, where gears run through the preceding joint. Both joints must be
-    revolute and near the end of the chain, and their axes must intersect. Joints that moved in a
-    fixed ratio are excluded, because their columns are collinear.
+    revolute and near the end of the chain. Joints that moved in a fixed ratio are excluded,
+    because their columns are collinear.
 
     """
     problem = regression.problem
     robot, before = problem.identified.robot, int(problem.before[j])
     if before < 0 or not (moving[j] and moving[before]):
         return False
-    if any(j in group and before in group for group in regression.together):
+    if abs(np.corrcoef(regression.qd[:, [before, j]].T)[0, 1]) > FIXED_RATIO:
         return False
     joints = problem.joints[before], problem.joints[j]
     if robot.is_prismatic_joint[list(joints)].any():
         return False
     turning = np.flatnonzero(np.isin(robot.joint_index, problem.joints) & ~robot.is_prismatic)
-    is_last = len(moved_by(robot, joints[1], turning.tolist())) < WRIST
-    return is_last and _axes_intersect(robot, *joints)
-
-
-def _axes_intersect(robot: RobotModel, before: int, joint: int) -> bool:
-    """Return whether the axes of two successive joints intersect and are not parallel."""
-    bodies = robot.joint_index.tolist()
-    first, second = (bodies.index(k, 1) for k in (before, joint))
-    axis = robot.R_PL[second] @ robot.axis[second]
-    normal = np.cross(robot.axis[first], axis)
-    length = float(np.linalg.norm(normal))
-    return length > 0.1 and abs(float(normal @ robot.p_PL[second])) < INTERSECTION * length
+    return len(moved_by(robot, joints[1], turning.tolist())) < WRIST
 
 
 def _fitted_losses(fit: RobotFit) -> Floats:

@@ -146,12 +146,14 @@ def read_csv(
                 raise RecordingError(
                     f"{path}: has {header.count('time')} columns 'time', expected one"
                 )
-            numbers = [
+            rows_of_numbers = (
                 _numbers(f'{path}: line {line}', row, header, allow_empty) for line, row in filled
-            ]
+            )
+            # Rows of Python floats would need four times the memory.
+            values = np.fromiter(chain.from_iterable(rows_of_numbers), float)
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f'{path}: is not a CSV file ({error})') from None
-    values = np.array(numbers).reshape(-1, len(header))
+    values = values.reshape(-1, len(header))
     columns: dict[tuple[str, str], Floats] = {}
     others = []
     for k, name in enumerate(header):

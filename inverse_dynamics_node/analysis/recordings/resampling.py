@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...robot.model import Floats, Integers
+from ...robot.model import Booleans, Floats, Integers
 from .signals import Motion
 
 DEGREE = 3
@@ -32,6 +32,12 @@ class Resampler(NamedTuple):
     """Times of the rows, shape (R,) [s]."""
     seconds: float
     """Length of the smoothing window [s]."""
+
+    def where(self, chosen: Booleans) -> Resampler:
+        """Return a resampler with only the chosen rows."""
+        return Resampler(
+            self.of_smooth[chosen], self.of_discontinuous[chosen], self.times[chosen], self.seconds
+        )
 
     def __call__(self, values: Floats) -> Floats:
         """Convert smooth signals of shape (K, ...) to rows of shape (R, ...)."""

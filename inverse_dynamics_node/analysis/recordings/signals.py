@@ -29,7 +29,7 @@ differentiations turn encoder noise of 1e-4 rad into acceleration noise of 0.05 
 MIN_SLACK = 4  # least difference between window length [samples] and degree of the polynomial
 MIN_RATE = 20.0  # lowest sampling rate from which accelerations can be derived [Hz]
 GAP = 5.0  # [sampling periods]; signals are not interpolated across longer intervals
-DUPLICATE = 0.25  # [sampling periods]; samples at shorter intervals are averaged
+DUPLICATE = 0.25  # [sampling periods]; samples at shorter intervals are ignored
 JUMP_BACK = 10.0  # [sampling periods]; if time goes back by less, the samples are sorted
 MAX_DIFFERENCE = 0.5  # largest relative RMS difference of recorded and derived velocities
 CLEAN = 0.05  # acceptable noise of accelerations, as a fraction of their RMS
@@ -91,16 +91,14 @@ class Motion(NamedTuple):
     """Noise that remains in the smoothed efforts, shape (m,) [N m or N]; NaN without efforts."""
     qdd_noise: Floats = np.zeros(0)
     """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
-    cut_off: float = math.inf
-    """Cut-off frequency [Hz] of a filter applied to efforts before recording; inf if none."""
-    raw_efforts: Floats = np.zeros((0, 0))
-    """Efforts before smoothing, shape (K, m) [N m or N]."""
     qd_noise: Floats = np.zeros(0)
     """
     Noise of the recorded velocities, including quantisation, shape (m,) [rad/s or m/s].
 
     Joints without recorded velocities have the noise of the derived velocities.
     """
+    cut_off: float = math.inf
+    """Cut-off frequency [Hz] of a filter applied to efforts before recording; inf if none."""
 
     @property
     def period(self) -> float:
@@ -118,82 +116,68 @@ def without_turns(robot: RobotModel, recording: Recording) -> Recording:
     return recording._replace(positions=positions)
 
 
-def derive(recording: Recording) -> Motion:
+def derive(recording: Recording, highest_rate: float = math.inf) -> Motion:
     """
     Smooth all signals of a recording, and derive missing velocities and all accelerations.
 
-    Samples that repeat the one before are removed. Half a window is removed at the start, at the
-    end, and on both sides of each gap. Raise RecordingError if shapes differ, if a joint has no
+    `highest_rate` limits the sampling rate of the smoothed signals [Hz]. Samples that repeat the
+    one before are removed. Half a window is removed at the start, at the end, and on both sides of
+    each gap. Raise RecordingError if shapes differ, if a joint has no
     position, if time goes back, if the recording is too short, or if the sampling rate is too low.
     """
-    times = _checked(recording)
-    recording, notes = without_repeats(recording._replace(times=times))
-    times = recording.times
-    columns = [RecordedColumn(recording, times, j) for j in range(len(recording.joint_names))]
-    period = max(column.period for column in columns)
+    _check(recording)
+    start = recording.times[0]
+    recording, notes = without_repeats(recording)
+    joints = [_joint_samples(recording, j) for j in range(len(recording.joint_names))]
+    period = max(joint.period for joint in joints)
     if 1.0 / period < MIN_RATE:
         raise RecordingError(
             f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g}; '
             'accelerations cannot be derived from fewer samples'
         )
-    orders, inconsistent = _orders(columns, period)
-    window, degree = _window(max(orders), period), WINDOWS[max(orders)][1]
-    pieces, grids, lost = [], [], 0.0
-    for begin, end in _common_spans(columns):
-        grid = _grid(begin, end, period)
-        if len(grid) < 2 * window:
-            lost += end - begin
-            continue
-        pieces.append(_smooth(columns, orders, grid, period, (window, degree)))
-        grids.append(grid)
-    if not pieces:
-        duration = times[-1] - times[0]
+    grids = [_grid(*span, period) for span in _common_spans(joints)]
+    least = 2 * _window(2, period)[0]
+    lost = sum(float(np.ptp(grid)) for grid in grids if len(grid) < least)
+    grids = [grid for grid in grids if len(grid) >= least]
+    if not grids:
         raise RecordingError(
             'every gap-free interval of the recording is too short to be differentiated, '
-            f'expected at least {2 * window * period:.2g} s; the recording lasts {duration:.3g} s'
+            f'expected at least {least * period:.2g} s; the recording lasts '
+            f'{recording.times[-1] - start:.3g} s'
         )
-    instants, q, qd, qdd, efforts, raw = (
-        np.concatenate(parts) for parts in zip(*pieces, strict=True)
-    )
-    notes += _notes(columns, inconsistent, len(pieces), lost)
-    longest = max(grids, key=len)
-    noise = [
-        _noise(column, order, longest, period, window, degree)
-        for column, order in zip(columns, orders, strict=True)
-    ]
-    cut_offs = [
-        cut_off(column.at(column.tau, longest), period) for column in columns if column.varies
-    ]
+    pieces = [_piece(recording, joints, grid) for grid in grids]
+    longest = max(pieces, key=lambda piece: piece.shape[1])
+    orders, wrong = _orders(longest, joints, period)
+    order = int(orders.max())
+    window, degree = _window(order, period)
+    step = max(1, int(1.0 / (period * highest_rate) + 1e-9))
+    smoothed = [_smoothed(piece, orders, window, degree, period, step) for piece in pieces]
+    q, qd, qdd, efforts = np.concatenate(smoothed, axis=1)
+    has_effort = np.array([joint.has_effort for joint in joints])
+    efforts[:, ~has_effort] = np.nan
+    varying = [tau for tau in longest[2][:, has_effort].T if np.ptp(tau) > 0.0]
+    noises = _noises(longest, joints, orders, window, degree, period, recording.velocities)
     return Motion(
-        instants - times[0],
+        np.concatenate([_inner(grid, window)[::step] for grid in grids]) - start,
         q,
         qd,
         qdd,
         efforts,
-        window,
+        2 * (window // (2 * step)) + 1,
         degree,
         recording.joint_names,
-        _method(orders, period, window, degree),
-        notes,
-        effort_noise=np.array([each[0] for each in noise]),
-        qdd_noise=np.array([each[1] for each in noise]),
-        cut_off=float(np.median(cut_offs)) if cut_offs else math.inf,
-        raw_efforts=raw,
-        qd_noise=np.array([each[2] for each in noise]),
+        _method(orders, window, degree, period),
+        (*notes, *_notes(joints, wrong, len(grids), lost)),
+        np.where(has_effort, noises[0], np.nan),
+        *noises[1:],
+        float(np.median([cut_off(tau, period) for tau in varying])) if varying else math.inf,
     )
 
 
-def _grid(begin: float, end: float, period: float) -> Floats:
-    """Return uniform times from `begin` to at most `end`."""
-    count = int((end - begin) / period + 1e-6) + 1
-    return np.asarray(begin + period * np.arange(count, dtype=np.float64))
-
-
-def _checked(recording: Recording) -> Floats:
-    names = recording.joint_names
+def _check(recording: Recording) -> None:
+    names, times = recording.joint_names, recording.times
     if not names:
         raise RecordingError('the recording has no joint names')
-    times = np.asarray(recording.times, dtype=float)
     shape = len(times), len(names)
     for what in ('positions', 'velocities', 'efforts'):
         values = getattr(recording, what)
@@ -207,10 +191,61 @@ def _checked(recording: Recording) -> Floats:
         )
     if not np.isfinite(recording.efforts).any():
         raise RecordingError('no joint has a measured effort')
-    return times
 
 
-def _orders(columns: list[RecordedColumn], period: float) -> tuple[list[int], list[str]]:
+# ---- Uniform samples -----------------------------------------------------------------------
+
+
+def _grid(begin: float, end: float, period: float) -> Floats:
+    """Return uniform times from `begin` to at most `end`."""
+    count = int((end - begin) / period + 1e-6) + 1
+    return np.asarray(begin + period * np.arange(count, dtype=np.float64))
+
+
+def _window(order: int, period: float) -> tuple[int, int]:
+    """Return window [samples] and degree of the filter for 1 or 2 differentiations."""
+    seconds, degree = WINDOWS[order]
+    return 2 * max(round(0.5 * seconds / period), (degree + MIN_SLACK) // 2) + 1, degree
+
+
+def _inner(values: Floats, window: int) -> Floats:
+    """Remove half a window from both ends."""
+    return values[window // 2 : len(values) - window // 2]
+
+
+def _filtered(
+    values: Floats, window: int, degree: int, order: int = 0, period: float = 1.0
+) -> Floats:
+    """Smooth or differentiate uniform samples, and remove half a window from both ends."""
+    from scipy.signal import savgol_filter
+
+    return _inner(
+        savgol_filter(values, window, degree, order, period, axis=0, mode='nearest'), window
+    )
+
+
+def _smoothed(
+    piece: Floats, orders: Integers, window: int, degree: int, period: float, step: int
+) -> Floats:
+    """
+    Return positions, velocities, accelerations and efforts, shape (4, samples, joints).
+
+    Of the smoothed samples, each `step`-th one is returned.
+    """
+
+    def filtered(values: Floats, order: int) -> Floats:
+        return np.array(_filtered(values, window, degree, order, period)[::step])
+
+    q, qd, tau = piece
+    found = np.stack([filtered(q, 0), filtered(q, 1), filtered(q, 2), filtered(tau, 0)])
+    if (is_recorded := orders == 1).any():
+        found[1:3, :, is_recorded] = [filtered(qd[:, is_recorded], order) for order in (0, 1)]
+    return found
+
+
+def _orders(
+    piece: Floats, joints: list[JointSamples], period: float
+) -> tuple[Integers, list[str]]:
     """
     Return the number of differentiations per joint, and the joints with wrong velocities.
 
@@ -218,113 +253,69 @@ def _orders(columns: list[RecordedColumn], period: float) -> tuple[list[int], li
     twice if the velocities contradict them, for example because a filter delays the velocities, or
     if the velocities lead to noisier accelerations.
     """
-    from scipy.signal import savgol_filter
-
-    orders: list[int] = []
-    wrong: list[str] = []
-    windows = {order: (_window(order, period), WINDOWS[order][1]) for order in WINDOWS}
-    for column in columns:
-        orders.append(2 if column.qd is None else 1)
-        if column.qd is None:
-            continue
-        grid = _grid(*max(column.spans(), key=lambda span: span[1] - span[0]), period)
-        if len(grid) < 2 * windows[2][0]:
-            continue
-        rate = savgol_filter(column.at(column.q, grid), *windows[1], 1, period)
-        recorded = savgol_filter(column.at(column.qd, grid), *windows[1])
-        changes = savgol_filter(column.at(column.qd, grid), *windows[1], 1, period)
-        noise = [_noise(column, k, grid, period, *windows[k])[1] for k in (1, 2)]
-        is_wrong = rms(rate - recorded) > MAX_DIFFERENCE * rms(rate)
-        if rms(rate) > MIN_SPEED and (is_wrong or lag(recorded, rate, period)):
-            wrong.append(column.name)
-            orders[-1] = 2
-        elif noise[0] > max(CLEAN * float(rms(changes)), noise[1]):
-            orders[-1] = 2
-    return orders, wrong
+    q, qd, _ = piece
+    once, twice = _window(1, period), _window(2, period)
+    rates, recorded = _filtered(q, *once, 1, period), _filtered(qd, *once)
+    noise = white_noise(qd, *once) * _gain(*once, 1, period)
+    noise_of_q = white_noise(q, *twice) * _gain(*twice, 2, period)
+    is_noisy = noise > np.maximum(CLEAN * rms(_filtered(qd, *once, 1, period)), noise_of_q)
+    is_wrong = rms(rates - recorded) > MAX_DIFFERENCE * rms(rates)
+    has_velocity = np.array([joint.has_velocity for joint in joints])
+    for j in np.flatnonzero(has_velocity & ~is_wrong):
+        is_wrong[j] = lag(recorded[:, j], rates[:, j], period) > 0.0
+    is_wrong &= has_velocity & (rms(rates) > MIN_SPEED)
+    wrong = [joint.name for joint, each in zip(joints, is_wrong, strict=True) if each]
+    return np.where(~has_velocity | is_wrong | is_noisy, 2, 1), wrong
 
 
-def _window(order: int, period: float) -> int:
-    """Return the number of samples in the smoothing window for 1 or 2 differentiations."""
-    seconds, degree = WINDOWS[order]
-    return 2 * max(round(0.5 * seconds / period), (degree + MIN_SLACK) // 2) + 1
+def white_noise(values: Floats, window: int, degree: int) -> Floats:
+    """Estimate the white noise of uniform samples, from what a Savitzky-Golay filter removes."""
+    removed = _inner(values, window) - _filtered(values, window, degree)
+    deviation = OUTLIERS * np.median(np.abs(removed - np.median(removed, axis=0)), axis=0)
+    # The filter is a projection, so it leaves this fraction of the variance.
+    left = _gain(window, degree) ** 2
+    return np.asarray(deviation / math.sqrt(max(1.0 - left, 1e-9)))
 
 
-def _common_spans(columns: list[RecordedColumn]) -> list[tuple[float, float]]:
-    """Return the intervals in which no column has a gap."""
-    spans = columns[0].spans()
-    for column in columns[1:]:
-        others = column.spans()
-        spans = [
-            (max(a, c), min(b, d)) for a, b in spans for c, d in others if max(a, c) < min(b, d)
-        ]
-    return spans
+def _gain(window: int, degree: int, order: int = 0, period: float = 1.0) -> float:
+    """Return the factor by which a Savitzky-Golay filter multiplies white noise."""
+    from scipy.signal import savgol_coeffs
+
+    return float(np.linalg.norm(savgol_coeffs(window, degree, deriv=order, delta=period)))
 
 
-def _smooth(
-    columns: list[RecordedColumn],
-    orders: list[int],
-    grid: Floats,
+def _noises(
+    piece: Floats,
+    joints: list[JointSamples],
+    orders: Integers,
+    window: int,
+    degree: int,
     period: float,
-    window: tuple[int, int],
-) -> tuple[Floats, ...]:
-    """Smooth each column on a uniform grid, and remove half a window from both ends."""
-    from scipy.signal import savgol_filter
-
-    def smooth(values: Floats, order: int = 0) -> Floats:
-        return np.asarray(savgol_filter(values, *window, deriv=order, delta=period, axis=0))
-
-    q = np.column_stack([column.at(column.q, grid) for column in columns])
-    tau = np.column_stack(
-        [
-            column.at(column.tau, grid) if column.has_effort else np.zeros(len(grid))
-            for column in columns
-        ]
+    velocities: Floats | None,
+) -> tuple[Floats, Floats, Floats]:
+    """Estimate the noise of smoothed efforts, of accelerations and of velocities."""
+    q, qd, tau = (white_noise(values, window, degree) for values in piece)
+    _, once, twice = (_gain(window, degree, order, period) for order in range(3))
+    # At rest, a velocity may alternate between two adjacent values.
+    has_velocity = np.array([joint.has_velocity for joint in joints])
+    steps = np.zeros(len(joints))
+    if velocities is not None:
+        for j in np.flatnonzero(has_velocity):
+            steps[j] = resolution(velocities[joints[j].rows, j])
+    return (
+        tau * _gain(window, degree),
+        np.where(orders == 1, qd * once, q * twice),
+        np.where(has_velocity, np.hypot(qd, steps), q * once),
     )
-    qd, qdd = smooth(q, 1), smooth(q, 2)
-    for j, (column, order) in enumerate(zip(columns, orders, strict=True)):
-        if order == 1 and column.qd is not None:
-            recorded = column.at(column.qd, grid)
-            qd[:, j], qdd[:, j] = smooth(recorded), smooth(recorded, 1)
-    efforts = np.stack([smooth(tau), tau])
-    efforts[:, :, [not column.has_effort for column in columns]] = np.nan
-    inner = slice(window[0] // 2, len(grid) - window[0] // 2)
-    return grid[inner], smooth(q)[inner], qd[inner], qdd[inner], *efforts[:, inner]
 
 
-def _noise(
-    column: RecordedColumn, order: int, grid: Floats, period: float, window: int, degree: int
-) -> tuple[float, float, float]:
-    """Estimate the noise of the smoothed effort, the acceleration and the velocity of a column."""
-    from scipy.signal import savgol_coeffs, savgol_filter
-
-    centre = float(savgol_coeffs(window, degree)[window // 2])
-
-    def noise(values: Floats) -> float:
-        return white_noise(values, savgol_filter(values, window, degree), centre)
-
-    def derived(values: Floats, order: int) -> float:
-        derivative = savgol_coeffs(window, degree, deriv=order, delta=period)
-        # The filter multiplies white noise by the square root of its centre weight.
-        return float(np.linalg.norm(derivative)) / math.sqrt(centre) * noise(values)
-
-    q = column.at(column.q, grid)
-    velocity, acceleration = derived(q, 1), derived(q, 2)
-    if column.qd is not None:
-        qd = column.at(column.qd, grid)
-        # At rest, a velocity may alternate between two adjacent values.
-        velocity = math.hypot(noise(qd) / math.sqrt(centre), resolution(column.qd))
-        acceleration = derived(qd, 1) if order == 1 else acceleration
-    effort = noise(column.at(column.tau, grid)) if column.has_effort else math.nan
-    return effort, acceleration, velocity
-
-
-def _method(orders: list[int], period: float, window: int, degree: int) -> str:
-    if set(orders) == {1}:
-        source = 'the recorded velocities, differentiated once'
-    elif set(orders) == {2}:
-        source = 'the recorded positions, differentiated twice'
-    else:
-        source = 'recorded velocities if they match the positions, and otherwise from positions'
+def _method(orders: Integers, window: int, degree: int, period: float) -> str:
+    source = 'recorded velocities if they match the positions, and otherwise from positions'
+    if (orders == orders[0]).all():
+        source = ('velocities, differentiated once', 'positions, differentiated twice')[
+            orders[0] - 1
+        ]
+        source = f'the recorded {source}'
     return (
         f'accelerations derived from {source}, with a Savitzky-Golay filter of degree {degree} '
         f'over {window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); '
@@ -333,17 +324,16 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
 
 
 def _notes(
-    columns: list[RecordedColumn], inconsistent: list[str], pieces: int, lost: float
+    joints: list[JointSamples], wrong: list[str], pieces: int, lost: float
 ) -> tuple[str, ...]:
     notes = []
-    if inconsistent:
+    if wrong:
         notes.append(
-            f'recorded velocities of {", ".join(inconsistent)} do not match the positions or lag '
+            f'recorded velocities of {", ".join(wrong)} do not match the positions or lag '
             'behind them; velocities were derived from the positions instead'
         )
-    merged = max(column.merged for column in columns)
-    if merged:
-        notes.append(f'averaged {merged} samples with duplicate time stamps')
+    if duplicates := max(joint.duplicates for joint in joints):
+        notes.append(f'ignored {duplicates} samples with duplicate time stamps')
     if pieces > 1:
         notes.append(f'because of gaps, the recording was differentiated in {pieces} pieces')
     if lost > 0.0:
@@ -423,83 +413,90 @@ def _spread(times: Floats, was_repeated: Booleans) -> Floats:
 # ---- One joint -----------------------------------------------------------------------------
 
 
-class RecordedColumn:
-    """Samples of one joint in order of time, without duplicates."""
+class JointSamples(NamedTuple):
+    """Which samples of a recording are those of one joint, without missing values."""
 
-    def __init__(self, recording: Recording, times: Floats, joint: int) -> None:
-        self.name = recording.joint_names[joint]
-        q, tau = recording.positions[:, joint], recording.efforts[:, joint]
-        self.has_effort = bool(np.isfinite(tau).any())
-        is_complete = np.isfinite(q) & (np.isfinite(tau) | (not self.has_effort))
-        if is_complete.sum() < 2:
-            raise RecordingError(
-                'the number of samples with a position'
-                f'{" and an effort" * self.has_effort} of joint '
-                f"'{self.name}' is {int(is_complete.sum())}, expected at least 2"
-            )
-        t = times[is_complete]
-        steps = np.diff(t)
-        self.period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
-        back = np.min(steps)
-        if back < -JUMP_BACK * self.period:
-            at = float(t[int(np.argmin(steps))] - times[0])
-            raise RecordingError(
-                f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if the file '
-                'contains two recordings, select one of them with its start and end time'
-            )
-        order = np.argsort(t, kind='stable')
-        velocities = recording.velocities
-        qd = np.full(len(q), np.nan) if velocities is None else velocities[:, joint]
-        values = np.column_stack([times, q, tau, qd])[is_complete][order]
-        values, self.merged = _merge(values, DUPLICATE * self.period)
-        self.t, self.q, self.tau, qd = values.T
-        self.qd = qd if np.isfinite(qd).all() else None
-        self.varies = self.has_effort and bool(np.ptp(self.tau) > 0.0)
+    name: str
+    rows: Integers
+    """Rows of the recording, in order of time and without duplicates, shape (n,)."""
+    times: Floats
+    """Times of the rows, shape (n,) [s]."""
+    period: float
+    """Median sampling period [s]."""
+    has_velocity: bool
+    has_effort: bool
+    duplicates: int
+    """Number of samples with duplicate times."""
 
     def spans(self) -> list[tuple[float, float]]:
         """Return the start and end of each interval without gaps [s]."""
-        breaks = np.flatnonzero(np.diff(self.t) > GAP * self.period)
-        starts = [0, *(breaks + 1)]
-        ends = [*breaks, len(self.t) - 1]
-        return [(self.t[a], self.t[b]) for a, b in zip(starts, ends, strict=True)]
+        breaks = np.flatnonzero(np.diff(self.times) > GAP * self.period)
+        starts, ends = self.times[[0, *(breaks + 1)]], self.times[[*breaks, -1]]
+        return list(zip(starts.tolist(), ends.tolist(), strict=True))
 
     def at(self, values: Floats, grid: Floats) -> Floats:
-        """Interpolate values at uniform times that lie between two gaps."""
+        """Interpolate a column of the recording at uniform times that lie between two gaps."""
         from scipy.interpolate import CubicSpline  # the import takes 0.3 s
 
-        a = max(int(np.searchsorted(self.t, grid[0] - 1e-9)) - 1, 0)
-        b = int(np.searchsorted(self.t, grid[-1] + 1e-9)) + 1
-        inside = slice(a, b)
-        t = self.t[inside]
         # A knot beyond a gap would distort the spline near the last samples before the gap.
-        near = (t >= grid[0] - 1e-9) & (t <= grid[-1] + self.period)
-        return np.asarray(CubicSpline(t[near], values[inside][near])(grid))
+        first, end = np.searchsorted(self.times, [grid[0] - 1e-9, grid[-1] + self.period])
+        return np.asarray(CubicSpline(self.times[first:end], values[self.rows[first:end]])(grid))
 
 
-def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
-    """Average rows with nearly equal times. The first column contains the times."""
-    is_new = np.append(True, np.diff(values[:, 0]) > closest)
-    if is_new.all():
-        return values, 0
-    starts: Integers = np.flatnonzero(is_new)
-    counts = np.diff(np.append(starts, len(values)))
-    merged: Floats = np.add.reduceat(values, starts) / counts[:, None]
-    return merged, len(values) - len(merged)
+def _joint_samples(recording: Recording, j: int) -> JointSamples:
+    """Return the samples of a joint; raise RecordingError if they are too few or not in order."""
+    name, velocities = recording.joint_names[j], recording.velocities
+    has_effort = bool(np.isfinite(recording.efforts[:, j]).any())
+    is_complete = np.isfinite(recording.positions[:, j])
+    if has_effort:
+        is_complete &= np.isfinite(recording.efforts[:, j])
+    rows: Integers = np.flatnonzero(is_complete)
+    if len(rows) < 2:
+        raise RecordingError(
+            f'the number of samples with a position{" and an effort" * has_effort} of joint '
+            f"'{name}' is {len(rows)}, expected at least 2"
+        )
+    steps = np.diff(recording.times[rows])
+    period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
+    if (back := float(np.min(steps))) < -JUMP_BACK * period:
+        at = float(recording.times[rows[int(np.argmin(steps))]] - recording.times[0])
+        raise RecordingError(
+            f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if the file '
+            'contains two recordings, select one of them with its start and end time'
+        )
+    rows = rows[np.argsort(recording.times[rows], kind='stable')]
+    is_new = np.append(True, np.diff(recording.times[rows]) > DUPLICATE * period)
+    duplicates = int(np.count_nonzero(~is_new))
+    rows = rows[is_new]
+    has_velocity = velocities is not None and bool(np.isfinite(velocities[rows, j]).all())
+    times = recording.times[rows]
+    return JointSamples(name, rows, times, period, has_velocity, has_effort, duplicates)
+
+
+def _piece(recording: Recording, joints: list[JointSamples], grid: Floats) -> Floats:
+    """Return positions, velocities and efforts at uniform times; zero if not recorded."""
+    piece = np.zeros((3, len(grid), len(joints)))
+    for j, joint in enumerate(joints):
+        piece[0, :, j] = joint.at(recording.positions[:, j], grid)
+        if joint.has_velocity and recording.velocities is not None:
+            piece[1, :, j] = joint.at(recording.velocities[:, j], grid)
+        if joint.has_effort:
+            piece[2, :, j] = joint.at(recording.efforts[:, j], grid)
+    return piece
+
+
+def _common_spans(joints: list[JointSamples]) -> list[tuple[float, float]]:
+    """Return the intervals in which no joint has a gap."""
+    spans = joints[0].spans()
+    for joint in joints[1:]:
+        others = joint.spans()
+        spans = [
+            (max(a, c), min(b, d)) for a, b in spans for c, d in others if max(a, c) < min(b, d)
+        ]
+    return spans
 
 
 # ---- Quality of uniform signals ------------------------------------------------------------
-
-
-def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float:
-    """
-    Estimate the standard deviation of the white noise that a Savitzky-Golay filter leaves.
-
-    `centre_weight` is the weight that the filter gives to the middle sample. It equals the sum of
-    all squared weights, because the filter is a projection.
-    """
-    removed = values - smoothed
-    deviation = OUTLIERS * float(np.median(np.abs(removed - np.median(removed))))
-    return deviation * math.sqrt(centre_weight / max(1.0 - centre_weight, 1e-9))
 
 
 def resolution(values: Floats) -> float:

@@ -71,14 +71,16 @@ def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
     joints = result.joints
     places = np.arange(len(joints))
     measured = np.array([max(joint.measured, 1e-9) for joint in joints])
-    for k, (name, _, look) in enumerate(_LOOKS[1:]):
-        left = np.array([getattr(joint.unseen, name) for joint in joints])
-        ax.barh(places + 0.26 * (k - 1), left / measured, 0.24, color=look['color'])
     noise = np.array([joint.noise for joint in joints]) / measured
-    for place, value in zip(places, noise, strict=True):
-        ax.plot([value, value], [place - 0.4, place + 0.4], color='black', linewidth=1.0)
-    ax.set_xlim(0.0, min(1.6, 1.05 * max(1.0, *(j.unseen.friction / m for j, m in zip(
-        joints, measured, strict=True)))))  # fmt: skip
+    ratios = [
+        np.array([getattr(joint.unseen, name) for joint in joints]) / measured
+        for name, _, _ in _LOOKS[1:]
+    ]
+    for k, (ratio, (_, _, look)) in enumerate(zip(ratios, _LOOKS[1:], strict=True)):
+        ax.barh(places + 0.26 * (k - 1), ratio, 0.24, color=look['color'], log=True)
+    ax.vlines(noise, places - 0.4, places + 0.4, color='black', linewidth=1.0)
+    # The residuals of the models differ by powers of ten.
+    ax.set_xlim(0.5 * max(1e-4, min(noise.min(), np.min(ratios))), 2.0 * max(1.0, np.max(ratios)))
     ax.set_yticks(places, style.all_elided([joint.name for joint in joints], 16), fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
@@ -98,10 +100,9 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
                 capsize=2.0)  # fmt: skip
     ax.set_xlim(0.0, 1.15 * max(*before, *after, 1e-9))
     names = style.all_elided([body.link for body in bodies], 16)
-    labels = [f'{name} {body.data_fraction:.0%}' for name, body in zip(names, bodies, strict=True)]
-    ax.set_yticks(places, labels, fontsize=8.5)
+    ax.set_yticks(places, names, fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
     rejected = '' if result.accepted else ', not accepted'
-    ax.set_title(f'Mass [kg], and % determined on its own{rejected}', fontsize=9.5, pad=3)
+    ax.set_title(f'Mass [kg]{rejected}', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)
