@@ -122,8 +122,8 @@ def derive(recording: Recording, highest_rate: float = math.inf) -> Motion:
 
     `highest_rate` limits the sampling rate of the smoothed signals [Hz]. Samples that repeat the
     one before are removed. Half a window is removed at the start, at the end, and on both sides of
-    each gap. Raise RecordingError if shapes differ, if a joint has no
-    position, if time goes back, if the recording is too short, or if the sampling rate is too low.
+    each gap. Raise RecordingError if shapes differ, if a joint has no position, if time goes back,
+    if the recording is too short, or if the sampling rate is too low.
     """
     _check(recording)
     start = recording.times[0]
@@ -156,7 +156,7 @@ def derive(recording: Recording, highest_rate: float = math.inf) -> Motion:
     has_effort = np.array([joint.has_effort for joint in joints])
     efforts[:, ~has_effort] = np.nan
     varying = [tau for tau in longest[2][:, has_effort].T if np.ptp(tau) > 0.0]
-    noises = _noises(longest, joints, orders, window, degree, period, recording.velocities)
+    noises = _noises(longest, joints, orders, window, degree, period)
     return Motion(
         np.concatenate([_inner(grid, window)[::step] for grid in grids]) - start,
         q,
@@ -291,17 +291,13 @@ def _noises(
     window: int,
     degree: int,
     period: float,
-    velocities: Floats | None,
 ) -> tuple[Floats, Floats, Floats]:
     """Estimate the noise of smoothed efforts, of accelerations and of velocities."""
     q, qd, tau = (white_noise(values, window, degree) for values in piece)
     _, once, twice = (_gain(window, degree, order, period) for order in range(3))
     # At rest, a velocity may alternate between two adjacent values.
-    has_velocity = np.array([joint.has_velocity for joint in joints])
-    steps = np.zeros(len(joints))
-    if velocities is not None:
-        for j in np.flatnonzero(has_velocity):
-            steps[j] = resolution(velocities[joints[j].rows, j])
+    steps = [joint.velocity_step for joint in joints]
+    has_velocity = [joint.has_velocity for joint in joints]
     return (
         tau * _gain(window, degree),
         np.where(orders == 1, qd * once, q * twice),
@@ -311,11 +307,10 @@ def _noises(
 
 def _method(orders: Integers, window: int, degree: int, period: float) -> str:
     source = 'recorded velocities if they match the positions, and otherwise from positions'
-    if (orders == orders[0]).all():
-        source = ('velocities, differentiated once', 'positions, differentiated twice')[
-            orders[0] - 1
-        ]
-        source = f'the recorded {source}'
+    if orders.max() == 1:
+        source = 'the recorded velocities, differentiated once'
+    elif orders.min() == 2:
+        source = 'the recorded positions, differentiated twice'
     return (
         f'accelerations derived from {source}, with a Savitzky-Golay filter of degree {degree} '
         f'over {window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); '
@@ -424,6 +419,8 @@ class JointSamples(NamedTuple):
     period: float
     """Median sampling period [s]."""
     has_velocity: bool
+    velocity_step: float
+    """Difference between adjacent values of a quantised velocity, or 0 [rad/s or m/s]."""
     has_effort: bool
     duplicates: int
     """Number of samples with duplicate times."""
@@ -468,9 +465,11 @@ def _joint_samples(recording: Recording, j: int) -> JointSamples:
     is_new = np.append(True, np.diff(recording.times[rows]) > DUPLICATE * period)
     duplicates = int(np.count_nonzero(~is_new))
     rows = rows[is_new]
-    has_velocity = velocities is not None and bool(np.isfinite(velocities[rows, j]).all())
+    qd = np.full(len(rows), np.nan) if velocities is None else velocities[rows, j]
+    has_velocity = bool(np.isfinite(qd).all())
+    step = resolution(qd) if has_velocity else 0.0
     times = recording.times[rows]
-    return JointSamples(name, rows, times, period, has_velocity, has_effort, duplicates)
+    return JointSamples(name, rows, times, period, has_velocity, step, has_effort, duplicates)
 
 
 def _piece(recording: Recording, joints: list[JointSamples], grid: Floats) -> Floats:
