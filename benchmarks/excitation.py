@@ -17,7 +17,6 @@ from pathlib import Path
 import time
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.columns import base_parameters
 from inverse_dynamics_node.analysis.excitation import search
 from inverse_dynamics_node.analysis.excitation.collisions import Collisions
 from inverse_dynamics_node.analysis.excitation.limits import (
@@ -29,6 +28,7 @@ from inverse_dynamics_node.analysis.excitation.limits import (
 )
 import numpy as np
 from robot_files import real_robots
+from scipy.linalg import qr
 
 ARMS = (
     'ur3_robot', 'ur5_robot', 'ur10_robot', 'panda', 'kinova', 'xarm7', 'z1', 'so100', 'so101',
@@ -84,7 +84,10 @@ def row(path: Path) -> str:
     motions = search.MotionSpace(dynamics, limits, collisions, found.series.duration)
     states = found.unknowns.weighted(random_states(limits, 400, np.random.default_rng(1)))
     states = states.reshape(-1, states.shape[-1])
-    leading = base_parameters(states / np.linalg.norm(states, axis=0)).leading
+    # A QR decomposition with pivoting finds columns that are linearly independent.
+    triangle, order = qr(states / np.linalg.norm(states, axis=0), mode='r', pivoting=True)
+    sizes = np.abs(np.diagonal(triangle))
+    leading = order[: np.count_nonzero(sizes > 1e-8 * sizes[0])]
 
     def information(states: States) -> float:
         """Return the mean logarithm of the information about a base parameter."""

@@ -43,7 +43,7 @@ def contents(folder):
         ('compare arm.urdf bag', '--parameters', 'bag/metadata.yaml'),
         ('excite arm.urdf', '--trajectory-out', 'arm.urdf'),
         ('identify arm.urdf move.csv', '--output', 'arm.urdf'),
-        ('identify arm.urdf move.yaml --validate move.csv', '--json', 'move.csv'),
+        ('identify arm.urdf move.yaml --validate move.csv', '--parameters', 'move.csv'),
         ('payload arm.urdf move.csv --empty move.yaml', '--picture', 'move_link.png'),
     ],
 )
@@ -75,10 +75,10 @@ def test_standard_input_is_not_replaced(here):
 
 
 def test_two_outputs_with_one_name_are_refused(here, capsys):
-    (here / 'same.json').symlink_to('same.urdf')
-    options = ['--output', 'same.urdf', '--json', 'same.json']
+    (here / 'same.yaml').symlink_to('same.urdf')
+    options = ['--output', 'same.urdf', '--parameters', 'same.yaml']
     assert main(['identify', 'arm.urdf', 'move.csv', *options]) == 2
-    assert '--json same.json is also the output of --output' in capsys.readouterr().err
+    assert '--parameters same.yaml is also the output of --output' in capsys.readouterr().err
     assert main(['effort', 'arm.urdf', 'move.csv', '--csv', 'move_efforts.png']) == 2
 
 
