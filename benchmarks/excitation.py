@@ -4,9 +4,10 @@ Plan motions for the arms of example-robot-data, and check them with Pinocchio.
     python -m benchmarks.excitation [ROBOT ...]
 
 Pinocchio loads the collision meshes, and finds collisions at 2001 poses of the written motion. It
-leaves out links that a joint connects, and the pairs that `excite` does not check. The errors are
-compared with the best of 1000 random motions within the same limits. They are the geometric means
-of the standard errors of the base parameters and of the terms of the joints.
+leaves out links that a joint connects, links that do not move relative to each other, and the
+pairs that `excite` does not check. The errors are compared with the best of 1000 random motions
+within the same limits. They are the geometric means of the standard errors of the base parameters
+and of the terms of the joints.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ CHECKED = 2001
 SAMPLES = 80
 
 
-def collisions_of_pinocchio(path: Path, q: np.ndarray, joints: tuple, unchecked: list) -> int:
+def collisions_of_pinocchio(
+    path: Path, q: np.ndarray, joints: tuple, moving: tuple, unchecked: list
+) -> int:
     """Return the number of poses in which links touch, except in the unchecked pairs."""
     import pinocchio as pin
 
@@ -50,11 +53,16 @@ def collisions_of_pinocchio(path: Path, q: np.ndarray, joints: tuple, unchecked:
     objects = shapes.geometryObjects
     links = [model.frames[each.parentFrame].name for each in objects]
     bodies = [each.parentJoint for each in objects]
+    group = list(range(model.njoints))
+    for joint in range(1, model.njoints):
+        if model.names[joint] not in moving:
+            group[joint] = group[model.parents[joint]]
     for i, j in itertools.combinations(range(len(objects)), 2):
         parents = model.parents[bodies[i]], model.parents[bodies[j]]
-        are_joined = bodies[i] in (bodies[j], parents[1]) or bodies[j] == parents[0]
+        are_joined = bodies[i] == parents[1] or bodies[j] == parents[0]
+        are_fixed = group[bodies[i]] == group[bodies[j]]
         names = {f'{links[i]} and {links[j]}', f'{links[j]} and {links[i]}'}
-        if not are_joined and not names & set(unchecked):
+        if not are_joined and not are_fixed and not names & set(unchecked):
             shapes.addCollisionPair(pin.CollisionPair(i, j))
     data, geometry = model.createData(), shapes.createData()
     poses = np.tile(pin.neutral(model), (len(q), 1))
@@ -80,7 +88,8 @@ def row(path: Path) -> str:
     seconds = time.process_time() - began
     q, _, _ = found.series.sample(np.linspace(0.0, found.series.duration, CHECKED))
     whole = whole_positions(limits, q)
-    hits = collisions_of_pinocchio(path, whole, robot.joint_names, collisions.unchecked)
+    names = robot.joint_names, limits.joint_names
+    hits = collisions_of_pinocchio(path, whole, *names, collisions.unchecked)
     motions = search.MotionSpace(dynamics, limits, collisions, found.series.duration)
     states = found.unknowns.weighted(random_states(limits, 400, np.random.default_rng(1)))
     states = states.reshape(-1, states.shape[-1])
