@@ -6,6 +6,7 @@ from benchmarks.identified_terms import counted
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.identification import DriveTerms, identify_parameters
+from inverse_dynamics_node.analysis.identification.fit import minimise, Prior
 from inverse_dynamics_node.analysis.identification.regression import (
     ARMATURE,
     COULOMB,
@@ -97,6 +98,22 @@ def test_standard_errors_are_honest():
     assert len(z) > 100
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
     assert np.mean(np.abs(z) < 2.0) > 0.9
+
+
+def test_the_solver_stays_physical_if_the_data_contradict_this():
+    reference = IdentifiedBodies(load_urdf(STANFORD)).reference
+    prior = Prior(reference, 1.0, np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
+    start = reference.ravel()
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rows = rng.normal(size=(rng.integers(5, 58), len(start)))
+        rows *= 10 ** rng.uniform(-2.0, 2.0, len(start))
+        matrix = 10 ** rng.uniform(4.0, 12.0) * rows.T @ rows
+        x, _ = minimise(
+            matrix, matrix @ (10.0 * start * rng.normal(size=len(start))), prior, start
+        )
+        assert np.isfinite(prior.value(x))
+        assert not np.array_equal(x, start)
 
 
 def test_a_model_that_predicts_no_better_than_friction_is_not_accepted():

@@ -81,3 +81,22 @@ def test_a_rest_is_not_a_repeat():
         values[200:260] += 1e-9 * np.arange(60)[:, None]
     motion = derive(recording)
     assert not [note for note in motion.notes if 'repeat' in note]
+
+
+def test_samples_with_one_time_stamp_are_one_sample():
+    recording = recorded(100.0, 100.0)
+    rows = np.sort(np.append(np.arange(2000), np.arange(5, 2000, 10)))
+    doubled = [each[rows] for each in recording[1:]]
+    doubled[3] = doubled[3] + 1e-6 * np.arange(len(rows))[:, None]  # not a repetition
+    motion = derive(Recording(recording.joint_names, *doubled))
+    assert motion.notes == ('ignored 200 samples with duplicate time stamps',)
+    assert max(errors_of(motion)) < 0.01
+
+
+def test_the_rate_of_smoothed_signals_can_be_limited():
+    fast = derive(recorded(500.0, 500.0))
+    slow = derive(recorded(500.0, 500.0), 100.0)
+    assert slow.period == pytest.approx(0.01)
+    assert (fast.window, slow.window) == (51, 11)
+    for name in ('times', 'q', 'qd', 'qdd', 'efforts'):
+        assert np.array_equal(getattr(slow, name), getattr(fast, name)[::5])

@@ -342,23 +342,23 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
     value = objective(x)
     hessian = matrix
     for _ in range(_MOST_STEPS):
-        gradient, hessian = prior.derivatives(x)
-        gradient += matrix @ x - vector
-        hessian += matrix
-        if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
-            raise np.linalg.LinAlgError('a parameter does not affect the efforts')
-        size = 1.0 / np.sqrt(np.diagonal(hessian))
         try:
+            gradient, curvature = prior.derivatives(x)
+            gradient += matrix @ x - vector
+            hessian = curvature + matrix
+            if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
+                raise np.linalg.LinAlgError('a parameter does not affect the efforts')
+            size = 1.0 / np.sqrt(np.diagonal(hessian))
             factor = cho_factor(hessian * np.outer(size, size) + 1e-12 * np.eye(len(x)))
+            step = -size * cho_solve(factor, size * gradient)
+            length = prior.longest_step(x, step)
         except np.linalg.LinAlgError:
             if (x == start).all():
                 raise
-            break  # a bad model drives a body to the edge of what is possible
-        step = -size * cho_solve(factor, size * gradient)
+            break  # an unsuitable model drives a body to the edge of what is possible
         decrement = -float(gradient @ step)
         if decrement < _DECREMENT:
             break
-        length = prior.longest_step(x, step)
         while length > 1e-6:
             trial = objective(x + length * step)
             if trial <= value - 1e-4 * length * decrement + 1e-14 * abs(value):
