@@ -126,6 +126,11 @@ class Case:
         """Compare the recording with the robot description."""
         return diagnose_recording(self.model, self.recording())
 
+    def common_factor(self) -> float:
+        """Return the factor of the modelled weights that is closest to the real ones."""
+        real, model = (each.gravity_efforts(self.motion[1]) for each in (self.real, self.model))
+        return float(np.sum(real * model) / np.sum(model**2))
+
     # ---- Judging statements --------------------------------------------------------------
 
     def is_named(self, fault: Fault) -> bool:
@@ -153,6 +158,8 @@ class Case:
         if fault.kind is FaultKind.ROTOR_INERTIA:
             real = np.array([self.armature[self.names.index(joint)] for joint in fault.joints])
             return bool((np.abs(np.log(np.array(fault.values) / real)) < math.log(2.0)).all())
+        if fault.kind is FaultKind.UNIT:
+            return abs(fault.values[0] / self.common_factor() - 1.0) < 0.05
         return fault.kind is FaultKind.BODIES or fault.kind in self.also
 
 
@@ -385,7 +392,9 @@ def page(results: list[Result]) -> str:
         '*yes*: the fault is named, with its joints, and with its value within 30 %, its angle',
         'within 3 degrees, or its times within 1.5 s. Without a fault: nothing false is said. The',
         'number of false statements follows if there are any. It is true in all rows that several',
-        'links are wrong, and that joints have rotors, if these are right within a factor of two.',
+        'links are wrong, that joints have rotors, if these are right within a factor of two, and',
+        'that all efforts are a multiple of those of the model, if this is within 5 % of the',
+        'factor of the modelled weights that is closest to the real ones.',
         '',
         f'| fault | {" | ".join(robots)} |',
         f'|---{"|---" * len(robots)}|',

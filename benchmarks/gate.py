@@ -16,9 +16,10 @@ import json
 from pathlib import Path
 
 from inverse_dynamics_node import InverseDynamics, RobotModel
-from inverse_dynamics_node.analysis.diagnosis.gate import check_agreement, Gate, StateRate
+from inverse_dynamics_node.analysis.diagnosis.gate import Gate
 from inverse_dynamics_node.analysis.diagnosis.live import (
     Agreement,
+    check_agreement,
     LiveSamples,
     Outcome,
 )
@@ -111,12 +112,7 @@ class Run:
             seen = (samples.times > end - 10.0) & (samples.times <= end)
             window = LiveSamples(samples.joint_names, *(x[seen] for x in samples[1:]))
             found = check_agreement(
-                '',
-                StateRate(500.0),
-                window,
-                self.described,
-                gravity,
-                commanded=self.described.joint_names,
+                window, self.described, gravity, commanded=self.described.joint_names
             )
             agreement = gate.add(found)
             if agreement.outcome is Outcome.DIFFER:

@@ -2,12 +2,12 @@
 Regressor columns, and least-squares fits.
 
 A column contains the efforts for one unit of an unknown. The efforts are linear in all unknowns,
-which are inertial parameters, gravity and friction coefficients.
+which are inertial parameters and gravity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,23 +18,6 @@ from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 """Symbols of mass, first moments, and inertia about the origin of the body frame."""
 STATES_AT_ONCE = 2000  # limits the memory for regressors
-
-
-def friction_columns(
-    qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
-) -> Floats:
-    """
-    Return the friction columns of one joint, shape (samples, 4).
-
-    The columns belong to damping, Coulomb friction, load-dependent friction and offset. `qd` is
-    the velocity [rad/s or m/s], and `width` is the speed over which Coulomb friction is smoothed.
-    `load` is the magnitude of the effort that moves the links [N m or N]. `smooth` is the filter
-    that was applied to the measured efforts.
-
-    """
-    direction = np.tanh(qd / width)
-    steps = smooth(np.column_stack([direction, load * direction]))
-    return np.column_stack([qd, steps, np.ones_like(qd)])
 
 
 def gravity_columns(robot: RobotModel, q: Floats) -> Floats:

@@ -118,14 +118,12 @@ def run(options: argparse.Namespace) -> int:
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
     """Write the fitted friction and any diagnosed rotor inertia as parameters of the node."""
     joints = sorted(result.joints, key=lambda joint: joint_names.index(joint.name))
-    names = [joint.name for joint in joints]
+    fits = {joint.name: joint.friction for joint in joints}
     rotors = {
         name: value
         for fault in result.faults
         if fault.kind is FaultKind.ROTOR_INERTIA
         for name, value in zip(fault.joints, fault.values, strict=True)
     }
-    armature = [rotors.get(name, 0.0) for name in names] if rotors else []
-    fits = [joint.friction for joint in joints]
-    text = friction_parameters(names, fits, result.width, armature)
-    write_file(path, text.encode())
+    armature = [rotors.get(name, 0.0) for name in fits] if rotors else []
+    write_file(path, friction_parameters(fits, armature).encode())

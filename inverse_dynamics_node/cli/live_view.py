@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import math
 import os
@@ -16,11 +16,16 @@ from ..report.diagnosis_text import agreement_sentence
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
 
-MOST_WARNINGS = 4
-RECENT = 60.0  # [s]; older warnings are not shown
+CODES = {
+    Outcome.AGREE: 0,
+    Outcome.DIFFER: 3,
+    Outcome.UNDECIDED: 4,
+    Outcome.SATURATED: 5,
+    Outcome.NOT_CHECKED: 6,
+}
+"""Exit codes of the outcomes."""
 _COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.SATURATED: 'red'}
-_AT_THE_TOP = 'state', 'phase', 'activity', 'dry_run', 'problems'
-_UNITS = {'rate': ' Hz', 'age': ' s', 'timeout': ' s'}  # by the last word of a key
+_LEVELS = {'WARN': 'yellow', 'ERROR': 'bold red'}
 
 
 @contextmanager
@@ -47,56 +52,28 @@ def live_view(last_words: Callable[[], str]) -> Iterator[Callable[..., None]]:
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement) -> Any:
     """Return the content of the screen as a `rich` renderable, with the important lines first."""
     from rich.console import Group
-
-    values = node_values(observer, agreement)
-    parts = [
-        _text(_headline(observer, agreement, values), 'bold'),
-        _text(agreement_sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
-    ]
-    for problem in values.get('problems', ()):
-        style = 'bold red' if problem['level'] == 'ERROR' else 'yellow'
-        parts.append(_text('{level} {part}: {message}'.format(**problem), style))
-    parts.append(_text(''))
-    if sample is not None:
-        parts += [_joint_table(observer, sample, agreement), _text('')]
-    parts.append(_node_table(values))
-    recent = [line for line in observer.log if line.time > time.time() - RECENT]
-    for line in recent[-MOST_WARNINGS:]:
-        clock = time.strftime('%H:%M:%S', time.localtime(line.time))
-        parts.append(_text(f'{clock} {line.level} {line.text}', 'yellow'))
-    return Group(*parts)
-
-
-def _headline(observer: Observer, agreement: Agreement, values: Mapping[str, Any]) -> str:
-    words = [observer.name]
-    if observer.robot is not None:
-        words.append(f"robot '{observer.robot.name}'")
-    if agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
-        words.append('NO DIAGNOSTICS')
-    elif not values:
-        words.append('waiting for diagnostics')
-    else:
-        words += ['DRY RUN'] * values['dry_run']
-        # The activity may be the same as the state.
-        words += dict.fromkeys([values['state'], values['activity'].removeprefix('dry run: ')])
-    return '  '.join(words)
-
-
-def _joint_table(observer: Observer, sample: Sample, agreement: Agreement) -> Any:
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style='cyan')
-    table.add_column('joint')  # only this column shrinks on a narrow terminal
+    status = _status(observer, agreement)
+    robot = [f"robot '{observer.robot.name}'"] if observer.robot else []
+    doing = 'NO DIAGNOSTICS' if observer.status else 'waiting for diagnostics'
+    if status:
+        doing = status['loop']['message']
+        if status['loop']['values'].get('dry run') == 'yes':
+            doing = f'DRY RUN  {doing.removeprefix("dry run: ")}'
+    colour = _COLOURS.get(agreement.outcome, 'yellow')
+    joints = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style='cyan')
+    joints.add_column('joint')  # only this column shrinks on a narrow terminal
     for title in ('position', 'measured', 'modelled', 'residual', 'command', 'limit'):
-        table.add_column(title, justify='right', no_wrap=True)
+        joints.add_column(title, justify='right', no_wrap=True)
     problems = {joint for fault in agreement.faults for joint in fault.joints}
     problems.update(agreement.saturated)
-    for row in joint_rows(observer, sample):
-        unit, effort = ('mm ', 'N  ') if row['is_prismatic'] else ('deg', 'N m')
-        position = row['position']
-        if position is not None:
-            position *= 1e3 if row['is_prismatic'] else 180.0 / math.pi
-        table.add_row(
+    for row in _joint_rows(observer, sample):
+        unit, effort, factor = ('mm ', 'N  ', 1e3) if row['is_prismatic'] else (
+            'deg', 'N m', 180.0 / math.pi,
+        )  # fmt: skip
+        position = None if row['position'] is None else factor * row['position']
+        joints.add_row(
             _text(row['name'], no_wrap=True, overflow='ellipsis'),
             f'{_number(position, 1)} {unit}',
             *(_number(row[key], 2) for key in ('measured', 'modelled', 'residual')),
@@ -104,67 +81,35 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement) -> An
             '-' if row['fraction'] is None else f'{row["fraction"]:.0%}',
             style='bold red' if row['name'] in problems else '',
         )
-    if not table.rows:
-        table.add_row(_text('no joints yet'))
-    return table
-
-
-def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
-    """Return the values of each joint; unknown values are None."""
-    robot, status = observer.robot, observer.status
-    if robot is None:
-        return []
-    limits = dict(zip(robot.joint_names, robot.effort_limits.tolist(), strict=True))
-    if status is not None:
-        limits |= status.by_joint('limits [N m, N]')
-    rows = []
-    for i, name in enumerate(robot.joint_names):
-        limit = limits[name]
-        values = {
-            'position': sample.positions[i],
-            'measured': sample.measured[i],
-            'modelled': sample.modelled[i],
-            'residual': sample.measured[i] - sample.modelled[i],
-            'command': sample.commands[i],
-            'limit': limit,
-            'fraction': abs(sample.commands[i]) / limit if 0.0 < limit < math.inf else math.nan,
-        }
-        rows.append(
-            {'name': name, 'is_prismatic': bool(robot.is_prismatic_joint[i])}
-            | {key: _known(value) for key, value in values.items()}
-        )
-    return rows
-
-
-def _node_table(values: Mapping[str, Any]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, show_header=False)
-    table.add_column(style='cyan', no_wrap=True)
-    table.add_column()
-    for key, value in values.items():
-        if value is not None and key not in _AT_THE_TOP:
-            words = key.split('_')
-            text = f'{value:.4g}' if isinstance(value, float) else str(value)
-            table.add_row(' '.join(words), _text(text + _UNITS.get(words[-1], '')))
-    return table
+    parts = Table(box=None, pad_edge=False, show_header=False)
+    for name, part in status.items():
+        parts.add_row(_text(name), _text(part['message']), style=_LEVELS.get(part['level'], ''))
+    if status and observer.status and (trajectory := observer.status.trajectory()):
+        parts.add_row('trajectory', _text(trajectory))
+    return Group(
+        _text('  '.join([observer.name, *robot, doing]), 'bold'),
+        _text(agreement_sentence(agreement), f'{colour} bold'),
+        *([_text(''), joints] if joints.rows else []),
+        _text(''),
+        parts,
+    )
 
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
     """Return the state as one line of text, for output to a pipe."""
-    words = [time.strftime('%H:%M:%S'), observer.name]
-    if values := node_values(observer, agreement):
-        words.append('dry run' if values['dry_run'] else values['state'])
-        words.append(f'{_number(values["joint_state_rate"], 0)} Hz')
-    # Wrong joints of a controller, and gravity that a driver adds, do not show in the efforts.
-    others = [each for each in values.get('problems', ()) if each['part'] == 'other nodes']
-    text = '; '.join([agreement_sentence(agreement), *(each['message'] for each in others)])
-    return escaped(f'{" ".join(words)}: {text}')
+    words, notes = [time.strftime('%H:%M:%S'), observer.name], [agreement_sentence(agreement)]
+    if status := _status(observer, agreement):
+        loop = status['loop']['values']
+        rate = observer.status.number('joint states', 'rate [Hz]') if observer.status else None
+        words.append('dry run' if loop.get('dry run') == 'yes' else loop.get('state', ''))
+        words.append(f'{_number(rate, 0)} Hz')
+        # Wrong joints of a controller, and gravity that a driver adds, do not show in the efforts.
+        if (others := status.get('other nodes')) and others['level'] != 'OK':
+            notes.append(others['message'])
+    return escaped(f'{" ".join(words)}: {"; ".join(notes)}')
 
 
-def as_json(
-    observer: Observer, sample: Sample | None, agreement: Agreement, codes: Mapping[Outcome, int]
-) -> dict[str, Any]:
+def as_json(observer: Observer, sample: Sample | None, agreement: Agreement) -> dict[str, Any]:
     """Return the values to print as JSON; doc/watch.md describes the keys."""
     fault = agreement.faults[0] if agreement.faults else None
     values = agreement.numbers or (fault.values if fault else ())
@@ -175,46 +120,47 @@ def as_json(
         'outcome': agreement.outcome.value,
         'cause': None if agreement.cause is None else agreement.cause.value,
         'sentence': agreement_sentence(agreement),
-        'exit_code': codes[agreement.outcome],
+        'exit_code': CODES[agreement.outcome],
         'problem_joints': list(fault.joints) if fault else [],
         'problem_values': [_known(value) for value in values],
         'problem_link': (fault.link or None) if fault else None,
         'unchecked_joints': {name: agreement.checks[name].value for name in agreement.unchecked},
         'saturated_joints': list(agreement.saturated),
-        'status': node_values(observer, agreement) or None,
-        'joints': joint_rows(observer, sample) if sample is not None else [],
-        'log': [line._asdict() for line in list(observer.log)[-MOST_WARNINGS:]],
+        'status': _status(observer, agreement) or None,
+        'joints': _joint_rows(observer, sample),
     }
 
 
-def node_values(observer: Observer, agreement: Agreement) -> dict[str, Any]:
-    """Return the values of the latest diagnostics by name; {} if there are none."""
-    status = observer.status
-    if status is None or agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
+def _status(observer: Observer, agreement: Agreement) -> dict[str, dict[str, Any]]:
+    """Return level, message and values of each part of the diagnostics; {} if there are none."""
+    if observer.status is None or agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
         return {}
-    receivers = status.number('efforts', 'receivers')
     return {
-        'state': status.text('loop', 'state'),
-        'phase': status.text('loop', 'phase') or None,
-        'activity': status['loop'].message,
-        'mode': status.text('loop', 'mode') or None,
-        'dry_run': status.text('loop', 'dry run') == 'yes',
-        'payload': status.text('model', 'payload') or None,
-        'commands_topic': status.text('other nodes', 'commands') or None,
-        'subscribers': None if receivers is None else int(receivers),
-        'rate': status.number('loop', 'rate [Hz]'),
-        'requested_rate': status.number('loop', 'requested rate [Hz]'),
-        'joint_state_rate': status.number('joint states', 'rate [Hz]'),
-        'joint_state_age': status.number('joint states', 'age [s]'),
-        'joint_state_timeout': status.number('joint states', 'timeout [s]'),
-        'reference_age': status.number('reference', 'age [s]'),
-        'reference_timeout': status.number('reference', 'timeout [s]'),
-        'trajectory': status.trajectory(),
-        'problems': [
-            {'part': name, 'level': part.level.name, 'message': part.message}
-            for name, part in status.problems().items()
-        ],
+        name: {**part._asdict(), 'level': part.level.name}
+        for name, part in observer.status.items()
     }
+
+
+def _joint_rows(observer: Observer, sample: Sample | None) -> list[dict[str, Any]]:
+    """Return the values of each joint; unknown values are None."""
+    robot, rows = observer.robot, []
+    if robot is None or sample is None:
+        return []
+    given = observer.status.by_joint('limits [N m, N]') if observer.status else {}
+    for i, name in enumerate(robot.joint_names):
+        limit, command = given.get(name, float(robot.effort_limits[i])), sample.commands[i]
+        values = {
+            'position': sample.q[i],
+            'measured': sample.measured[i],
+            'modelled': sample.modelled[i],
+            'residual': sample.measured[i] - sample.modelled[i],
+            'command': command,
+            'limit': limit,
+            'fraction': abs(command) / limit if 0.0 < limit < math.inf else math.nan,
+        }
+        known = {key: _known(value) for key, value in values.items()}
+        rows.append({'name': name, 'is_prismatic': bool(robot.is_prismatic_joint[i]), **known})
+    return rows
 
 
 def _text(text: str, style: str = '', **options: Any) -> Any:

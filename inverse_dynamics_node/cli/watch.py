@@ -13,19 +13,20 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.diagnosis.gate import check_agreement, Gate, StateRate
+from ..analysis.diagnosis.gate import Gate
 from ..analysis.diagnosis.live import (
     Agreement,
+    check_agreement,
     DURATION,
     LiveWindow,
     Obstacle,
-    Outcome,
+    StateRate,
 )
 from ..report.diagnosis_text import agreement_sentence
 from . import arguments
 from .arguments import choose_node, MOST_DISCOVERY, only_one
 from .console import handled_signals
-from .live_view import as_json, as_line, live_view
+from .live_view import as_json, as_line, CODES, live_view
 from .recordings import reported_convention
 
 if TYPE_CHECKING:
@@ -50,13 +51,6 @@ exit code of --for:
     2  invalid arguments
   130  ended by Ctrl-C"""
 
-CODES = {
-    Outcome.AGREE: 0,
-    Outcome.DIFFER: 3,
-    Outcome.UNDECIDED: 4,
-    Outcome.SATURATED: 5,
-    Outcome.NOT_CHECKED: 6,
-}
 _POLL = 0.02  # [s]; time between two polls of the node
 _LINE = 1.0  # [s]; time between two lines of text
 _CHECK = 2.0  # [s]; time between two checks, which take up to 0.3 s of CPU
@@ -124,12 +118,18 @@ class _Watch:
         self, observer: Observer, find: Callable[[], list[str]], options: argparse.Namespace
     ) -> None:
         self.observer, self.find, self.options = observer, find, options
-        self.window: LiveWindow | None = None
-        self.gate = Gate(options.unchecked)
-        self.sample: Sample | None = None
-        self.agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
+        self.agreement = Agreement(Obstacle.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
+        self._measured: Any = None  # what the measured efforts contain, and their scale
+        self._restart()
+
+    def _restart(self) -> None:
+        """Forget all samples and results."""
+        robot = self.observer.robot
+        self.window = LiveWindow(robot.joint_names) if robot else None
+        self.gate = Gate(self.options.unchecked)
+        self.sample: Sample | None = None
         self._state_count = 0  # of joint states when the latest sample was added
         self._cut: dict[str, float] = {}  # time at which each joint's effort was last cut
 
@@ -181,26 +181,20 @@ class _Watch:
     def _poll(self) -> None:
         observer = self.observer
         if observer.poll():
-            robot = observer.robot
-            self.window = LiveWindow(robot.joint_names) if robot else None
-            self.gate = Gate(self.options.unchecked)
-            self.sample = None
-            self._cut.clear()
+            self._restart()
         status = observer.status
         if status is not None:
+            measured = reported_convention(status), status.measured_scale()
+            if measured != self._measured:
+                self._measured = measured
+                self._restart()
             cut = status.names('efforts', 'cut to limit since the last report')
             self._cut |= dict.fromkeys(cut, observer.status_time)
         if self.window is not None:
-            if status is not None:
-                has_changed = self.window.restart_after_change(
-                    reported_convention(status), status.measured_scale()
-                )
-                if has_changed:
-                    self.gate = Gate(self.options.unchecked)
             sample = self.sample = observer.sample()
             if observer.state_count > self._state_count:
                 self._state_count = observer.state_count
-                self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
+                self.window.add(*sample[:5])
 
     def _check(self, now: float) -> Agreement:
         observer, status = self.observer, self.observer.status
@@ -212,20 +206,22 @@ class _Watch:
                 'cannot be reached'
             )
             cause = Obstacle.NO_DIAGNOSTICS if silence > _LOST else Obstacle.TOO_FEW_SAMPLES
-            return Agreement(Outcome.UNDECIDED, cause, reason=reason)
+            return Agreement(cause, reason=reason)
+        if reason := self._reason():
+            return Agreement(Obstacle.NODE_STATE, reason=reason)
+        if self.window is None or observer.robot is None:
+            return Agreement(Obstacle.TOO_FEW_SAMPLES)
         requested = status.number('loop', 'requested rate [Hz]')
-        rate = StateRate(observer.state_rate, self.options.rate, requested, 'clock' in status)
         return check_agreement(
-            self._reason(),
-            rate,
-            self.window.samples() if self.window else None,
+            self.window.samples(),
             observer.robot,
             np.array(status.gravity() or np.zeros(3)),
             self._limits(),
+            reported_convention(status),
+            status.payloads(),
             status.names('model', 'joints'),
             [joint for joint, then in self._cut.items() if now < then + DURATION],
-            reported_convention(status),
-            self._payloads(),
+            StateRate(observer.state_rate, self.options.rate, requested, 'clock' in status),
         )
 
     def _reason(self) -> str:
@@ -251,25 +247,12 @@ class _Watch:
                 limits[robot.joint_names.index(joint)] = limit / abs(scale[joint])
         return limits
 
-    def _payloads(self) -> list[tuple[str, float, Any]]:
-        """Return link, mass [kg] and centre of mass [m] of each payload on the robot."""
-        robot, status = self.observer.robot, self.observer.status
-        if robot is None or status is None:
-            return []
-        return [
-            (link, mass, np.array(com))
-            for link, mass, com in status.payloads()
-            if link in robot.link_names
-        ]
-
     def _last_words(self) -> str:
         return f'{self.observer.name}: {agreement_sentence(self.agreement)}'
 
     def _print_line(self) -> None:
         if self.options.json:
-            print(
-                json.dumps(as_json(self.observer, self.sample, self.agreement, CODES)), flush=True
-            )
+            print(json.dumps(as_json(self.observer, self.sample, self.agreement)), flush=True)
         else:
             print(as_line(self.observer, self.agreement), flush=True)
 

@@ -166,6 +166,10 @@ def _values_of_robot(
             'publishers': around.publishers,
             'late, not commanded': collector.late(now),
             'locked, never reported': collector.unseen(),
+            'locked positions [rad, m]': [
+                float(collector.q[collector.joint_names.index(name)])
+                for name in collector.unseen()
+            ],
             'without velocity': collector.without_velocity(),
         },
         'reference': {

@@ -61,16 +61,15 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> str:
     motion, rows = result.motion, [_row(joint) for joint in result.joints]
     duration = motion.times[-1] - motion.times[0]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
-               'explained', 'scale')  # fmt: skip
-    corrections = ', offset and the corrections above' if result.faults else ' and offset'
+               'explained')  # fmt: skip
+    corrections = ' and the corrections above' if result.faults else ''
     remarks = (
         'All efforts are RMS values. Residual: measured minus modelled effort. Friction: residual '
-        'of the model with fitted friction. Corrected: residual of the model with fitted friction'
-        f'{corrections}. Noise: noise that remains after smoothing; a residual below the noise '
-        'needs no explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured '
-        'effort is about scale * modelled effort + offset. Samples at rest are not used (except '
-        'for joints with unknown friction), because dry friction at rest can have any value up '
-        'to its maximum.',
+        'of the model with fitted friction and offset. Corrected: residual of the model with '
+        f'fitted friction, offset{corrections}. Noise: noise that remains after smoothing; a '
+        'residual below the noise needs no explanation. Explained: 1 - (corrected / measured)^2. '
+        'Samples at rest are not used (except for joints with unknown friction), because dry '
+        'friction at rest can have any value up to its maximum.',
         f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.',
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(motion), *notes)),
     )
@@ -90,45 +89,27 @@ def _row(joint: JointResidual) -> tuple[str, ...]:
         f'{joint.rms_corrected:.3g}',
         or_dash(joint.noise, '.2g'),
         f'{explained} (noise)' if joint.rms_corrected < AT_NOISE * joint.noise else explained,
-        or_dash(joint.scale, '.3f'),
     )
 
 
 def friction_table(result: ComparisonResult) -> str:
     """Return the fitted friction and the standard errors, one row per joint."""
-    has_shape = any(joint.friction.has_shape for joint in result.joints)
-    rows = []
+    rows, unknown = [], []
     for joint in result.joints:
-        fit = joint.friction
-        numbers = ('-', '-', '-')
-        shape = ('-', '-')
-        if not fit.unknown_because:
-            numbers = (
-                with_error(fit.damping, fit.damping_error),
-                with_error(fit.coulomb, fit.coulomb_error),
-                with_error(fit.offset, fit.offset_error),
-            )
-            own_width = fit.width if fit.has_shape else result.width
-            shape = f'{own_width:g}', f'{fit.load_friction:.3f}'
-        rows.append((joint.name, *numbers, *(shape if has_shape else ())))
-    coulomb = 'Coulomb'
-    width = f'{result.width:g}'
-    if has_shape:
-        coulomb, width = '(Coulomb + per load * |modelled effort|)', 'width'
+        *values, reason = joint.friction
+        cells = ['-' if reason else with_error(*each) for each in values]
+        rows.append((joint.name, *cells))
+        if reason:
+            unknown.append(f'{joint.name}: friction unknown, because {reason}.')
     notes = (
-        f'Friction effort: damping * velocity + {coulomb} * tanh(velocity / {width}) + '
-        'offset. Damping is in N m s/rad, Coulomb and offset are in N m (prismatic joints: N s/m '
-        'and N).',
-        *(
-            f'{joint.name}: friction unknown, because {joint.friction.unknown_because}.'
-            for joint in result.joints
-            if joint.friction.unknown_because
-        ),
+        'Friction effort: damping * velocity + (Coulomb + per load * |modelled effort|) * '
+        'sign(velocity) + offset. Damping is in N m s/rad, Coulomb and offset are in N m '
+        '(prismatic joints: N s/m and N).',
+        *unknown,
     )
-    columns = ('joint', 'damping', 'Coulomb', 'offset', *(('width', 'per load') * has_shape))
     return table(
-        'Friction fitted to the residual (± standard errors, which cover random errors only)',
-        columns,
+        'Friction fitted to the residual (± standard errors)',
+        ('joint', 'damping', 'Coulomb', 'per load', 'offset'),
         rows,
         notes,
     )

@@ -70,6 +70,12 @@ class NodeStatus(dict[str, Part]):
         """Return the factor for the measured efforts of each commanded joint."""
         return self.by_joint('scale of the measured efforts')
 
+    def locked_positions(self) -> dict[str, float]:
+        """Return the positions [rad or m] that the node uses for joints without any report."""
+        joints = self.names('joint states', 'locked, never reported')
+        positions = self.numbers('joint states', 'locked positions [rad, m]')
+        return dict(zip(joints, positions, strict=True)) if len(joints) == len(positions) else {}
+
     def gravity(self) -> list[float]:
         """Return gravity in the frame of the root link [m/s^2], even if commands exclude it."""
         return self.numbers('model', 'gravity in the root link [m/s^2]')

@@ -46,7 +46,7 @@ def apply_payload(
             return
         now = time.monotonic()
         if now > end:
-            last = f': {observer.log[-1].text}' if observer.log else ''
+            last = f': {observer.last_warning}' if observer.last_warning else ''
             raise ConfigurationError(
                 f'{observer.name} does not use the payload sent on {topic}{last}'
             )

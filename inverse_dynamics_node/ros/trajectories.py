@@ -65,7 +65,7 @@ def _state(observer: Observer) -> str:
 
 
 def _problem(observer: Observer, has_begun: bool) -> str:
-    last = f': {observer.log[-1].text}' if observer.log else ''
+    last = f': {observer.last_warning}' if observer.last_warning else ''
     if not has_begun:
         topic = f'{observer.name}/joint_trajectory'
         return f'{observer.name} does not follow the trajectory on {topic}{last}'

@@ -5,11 +5,10 @@ import os
 import pty
 import subprocess
 import sys
-import time
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.analysis.diagnosis.live import Agreement, Obstacle, Outcome
+from inverse_dynamics_node.analysis.diagnosis.live import Agreement, Obstacle
 from inverse_dynamics_node.cli import live_view
 from inverse_dynamics_node.cli.main import main
 import numpy as np
@@ -115,16 +114,15 @@ def hostile_observer():
             for name, found in keys.items()
         }
     )
-    line = SimpleNamespace(time=time.time(), level='WARN', text=odd)
-    sample = SimpleNamespace(positions=np.zeros(6), measured=np.zeros(6), modelled=np.zeros(6),
+    sample = SimpleNamespace(q=np.zeros(6), measured=np.zeros(6), modelled=np.zeros(6),
                              commands=np.zeros(6))  # fmt: skip
-    return SimpleNamespace(name=odd, robot=robot, status=status, log=[line]), sample
+    return SimpleNamespace(name=odd, robot=robot, status=status), sample
 
 
 def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
     Console = pytest.importorskip('rich.console').Console
     observer, sample = hostile_observer()
-    agreement = Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
+    agreement = Agreement(Obstacle.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
     output = io.StringIO()
     output.isatty = lambda: True
     monkeypatch.setenv('COLUMNS', '200')

@@ -2,8 +2,9 @@
 
 import re
 
+from inverse_dynamics_node.cli.live_view import CODES
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.watch import CODES, EPILOG, next_time
+from inverse_dynamics_node.cli.watch import EPILOG, next_time
 import pytest
 from robot_files import ROOT
 

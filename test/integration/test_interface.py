@@ -304,6 +304,13 @@ def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot
     still = QD * [1, 1, 0, 1, 1, 0]
     robot.wait_for_command(dynamics.efforts(Q, still, ZERO)[[0, 1, 3, 4]])
     robot.wait_for_text(node, f"'{NAMES[2]}' is not reported; its locked position is used")
+    heard = robot.listen(JointState, f'{OWN}/external_efforts')
+    push = np.array([1.0, -2.0, 0.1, 0.2])
+    measured = dynamics.efforts(Q, ZERO, ZERO)[[0, 1, 3, 4]] + push
+    robot.publish_state(joints, Q[[0, 1, 3, 4]], np.zeros(4), measured)
+    expected = pytest.approx(list(push), abs=1e-6)
+    message = robot.wait_for(heard, lambda m: list(m.effort) == expected, 'external efforts')
+    assert list(message.name) == joints
     seen = [0, 1, 3, 4, 2]
     elsewhere = Q.copy()
     elsewhere[2] = 0.6

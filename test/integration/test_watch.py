@@ -117,12 +117,13 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     assert last['problem_joints'] == ['joint_3']
     assert last['sentence'].startswith('joint_3 reports efforts with the wrong sign; ')
     assert '; do not go live. Change the sign in the driver' in last['sentence']
-    assert last['status']['dry_run'] is True
-    assert last['status']['mode'] == 'inverse_dynamics'
-    assert last['status']['joint_state_timeout'] == 5.0
+    loop, states = last['status']['loop'], last['status']['joint states']
+    assert loop['values']['dry run'] == 'yes'
+    assert loop['values']['mode'] == 'inverse_dynamics'
+    assert (states['level'], states['values']['timeout [s]']) == ('OK', '5')
     joint = last['joints'][2]
     assert joint['name'] == 'joint_3'
-    assert joint['position'] == Q[2]
+    assert joint['position'] == pytest.approx(Q[2], abs=1e-6)
     for key, effort in (('measured', -HELD[2]), ('modelled', HELD[2]), ('command', HELD[2])):
         assert joint[key] == pytest.approx(effort, abs=1e-3), key
     assert joint['fraction'] == pytest.approx(abs(HELD[2]) / 200.0, abs=1e-4)
@@ -146,7 +147,7 @@ def moving(factor=1.0, names=NAMES):
         q, qd = Q + reach * np.sin(angle), reach * rate * np.cos(angle)
         qdd = -reach * rate**2 * np.sin(angle)
         held = [NAMES.index(name) for name in set(NAMES) - set(names)]
-        q[held] = qd[held] = qdd[held] = 0.0
+        q[held], qd[held], qdd[held] = 0.3, 0.0, 0.0
         efforts = real.efforts(q, qd, qdd)
         return JointState(
             name=list(names),
@@ -162,7 +163,7 @@ def test_an_arm_that_moves_is_checked_beside_a_joint_that_is_never_published(
     run_node, robot, watch
 ):
     names = NAMES[:5]
-    node = run_node(**PATIENT, joints=names, **{'locked_positions.joint_6': 0.0})
+    node = run_node(**PATIENT, joints=names, **{'locked_positions.joint_6': 0.3})
     robot.keep_publishing('joint_states', moving(names=names), JointState)
     robot.wait_for_text(node, 'floating')
     for seconds in ('12', '30'):  # on a busy machine, few samples arrive
@@ -327,16 +328,20 @@ def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
     assert 'DRY RUN' in before
     assert '\x1b[?1049l' not in before
     assert re.search(r' \d+%', before)  # the last column of the joints
-    assert 'joint state rate' not in before  # below the last line of the terminal
+    latest = before.rpartition('/inverse_dynamics')[2]
+    assert 'no reference is used' not in latest  # below the last line of the terminal
     view.resize(40, 120)
-    robot.wait_until(lambda: 'joint state rate' in view.screen, 'all lines')
+    robot.wait_until(
+        lambda: 'no reference is used' in view.screen.rpartition('/inverse_dynamics')[2],
+        'all lines',
+    )
     # Without diagnostics, nothing old is shown as if it were the present state.
     node.may_end = True
     node.kill()
     robot.wait_until(lambda: 'NO DIAGNOSTICS' in view.screen, 'end of the node')
     latest = view.screen.rpartition('/inverse_dynamics')[2]
     assert 'DRY RUN' not in latest
-    assert 'joint state rate' not in latest
+    assert 'no reference is used' not in latest
     code, took = view.press_ctrl_c(robot)
     assert code == 130
     assert took < SOON

@@ -4,7 +4,7 @@ from dataclasses import replace
 import math
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.analysis.diagnosis import diagnose_recording, friction_parameters
+from inverse_dynamics_node.analysis.diagnosis import diagnose_recording
 from inverse_dynamics_node.report.compare_report import (
     comparison_table,
     verdict,
@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from runs import EVERY_ROBOT, LONG, run, samples_of
 from scipy.signal import butter, sosfiltfilt
-import yaml
 
 
 def kinds(result):
@@ -44,21 +43,19 @@ def test_lack_of_gravity_is_not_reported_for_efforts_that_it_does_not_explain(rn
     assert kinds(result) == ['unexplained']
 
 
-def test_a_finding_is_credited_without_the_effect_of_friction():
+def test_friction_and_offset_are_told_apart():
     dynamics, recording = run('seven_dof', friction=(6.0, 6.0))
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
     result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
     (diagnosis,) = result.faults
-    (change,) = diagnosis.changes
-    assert (diagnosis.kind.value, change.joint) == ('offset', 'elbow')
-    # Friction cannot replace the offset: its RMS is left. Without friction, twice as much is.
-    assert change.before == pytest.approx(5.0, rel=0.1)
-    assert result.joints[3].rms_residual > 1.5 * change.before
-    assert change.after == pytest.approx(result.joints[3].rms_corrected, rel=0.2)
-    assert f'from {change.before:.3g} N m to {change.after:.3g} N m' in str(
-        diagnosis_warning(diagnosis)
-    )
+    assert (diagnosis.kind.value, diagnosis.joints) == ('offset', ('elbow',))
+    elbow = result.joints[3]
+    assert elbow.friction.coulomb.value == pytest.approx(6.0, rel=0.1)
+    assert elbow.friction.offset.value == pytest.approx(5.0, rel=0.05)
+    assert elbow.rms_corrected < 0.1 * elbow.rms_residual
+    words = str(diagnosis_warning(diagnosis))
+    assert f': elbow {diagnosis.values[0]:.3g} N m' in words
 
 
 @pytest.mark.parametrize('quantum', [0.0, 0.1])
@@ -75,7 +72,7 @@ def test_noise_floor_is_reported_and_explained(quantum, rng):
     for joint in result.joints:
         assert joint.noise == pytest.approx(joint.rms_corrected, rel=0.4)
     last = comparison_table(result, ()).splitlines()[8]
-    assert last.split()[-2].endswith('(noise)')
+    assert last.endswith('(noise)')
 
 
 def test_residuals_are_beside_percentages_and_the_same_everywhere():
@@ -141,18 +138,6 @@ def test_finds_a_unit_of_all_joints_even_if_some_hardly_moved(factor, rng):
     assert diagnosis.values[0] == pytest.approx(factor, rel=0.05)
 
 
-@pytest.mark.parametrize(('friction', 'is_motor_side'), [((2.0, 4.0), True), (None, False)])
-def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_motor_side):
-    dynamics, recording = run('seven_dof', friction=friction)
-    efforts = recording.efforts.copy()
-    efforts[:, 3] += 5.0
-    (diagnosis,) = diagnose_recording(dynamics, recording._replace(efforts=efforts)).faults
-    assert diagnosis.is_motor_side is is_motor_side
-    hint = diagnosis_warning(diagnosis).hint
-    assert ('Zero the torque sensors' in hint) is not is_motor_side
-    assert ('motor currents' in hint) is is_motor_side
-
-
 @EVERY_ROBOT
 @pytest.mark.parametrize('begin', [0.0, 10.0])
 def test_nothing_is_found_in_a_short_recording(name, begin):
@@ -165,24 +150,15 @@ def test_nothing_is_found_in_a_short_recording(name, begin):
     assert 'too short' in verdict(result)
 
 
-def test_width_and_load_friction_are_fitted_and_written(rng):
-    width = np.array([0.1, 0.01, 0.01, 0.05, 0.01, 0.01, 0.01])
+def test_friction_that_grows_with_the_load_is_fitted():
     per_load = np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
-
-    def act(real):
-        real.set_friction(1.0, 3.0, width=width, load_friction=per_load)
-
-    dynamics, recording = run('seven_dof', rate=100.0, effort_noise=0.002, act=act)
+    dynamics, recording = run(
+        'seven_dof', act=lambda real: real.set_friction(1.0, 3.0, load_friction=per_load)
+    )
     fits = [joint.friction for joint in diagnose_recording(dynamics, recording).joints]
-    assert [fits[0].width, fits[3].width] == pytest.approx([0.1, 0.05], rel=0.5)
-    assert fits[0].coulomb == pytest.approx(3.0, rel=0.1)
-    assert fits[1].load_friction == pytest.approx(0.2, rel=0.15)
-    assert not any(fit.load_friction for fit in fits[2:])
-    text = friction_parameters(recording.joint_names, fits, 0.01, [0.5, *6 * [0.0]])
-    parameters = yaml.safe_load(text)['/**']['ros__parameters']
-    assert parameters['coulomb_width'][0] == pytest.approx(fits[0].width)
-    assert parameters['load_friction'][1] == pytest.approx(fits[1].load_friction, rel=1e-3)
-    assert parameters['armature'] == [0.5, *6 * [0.0]]
+    assert fits[1].load_friction.value == pytest.approx(0.2, rel=0.15)
+    assert fits[1].coulomb.value == pytest.approx(3.0, rel=0.15)
+    assert not any(fit.load_friction.value for fit in fits[2:])
 
 
 # ---- Flaws of recordings -------------------------------------------------------------------
@@ -240,7 +216,7 @@ def test_many_wrong_links_are_not_reported_as_a_payload():
     assert 'payload' not in kinds(result)
     assert kinds(result)[-1] == 'bodies'
     diagnosis = result.faults[-1]
-    assert diagnosis.changes[0].after < 0.5 * diagnosis.changes[0].before
+    assert all(joint.rms_corrected < 0.5 * joint.rms_residual for joint in result.joints)
     assert 'inverse_dynamics identify' in diagnosis_warning(diagnosis).hint
 
 

@@ -206,7 +206,7 @@ def with_cuts(*flags):
 def late(now):
     """Return an arm with a joint that is locked, and one that is late some time after 0 s."""
     names, q = ARM.joint_names, [0.0, 0.0, 0.5, 0.0, 0.0]
-    node = Node(ARM, names[:4], locked={names[4]: 0.0})
+    node = Node(ARM, names[:4], locked={names[4]: 0.125})
     node.receive(0.0, q, [0.0] * 5, [*names[:4], names[5]])
     return node.receive(now, q[:4], [0.0] * 4, names[:4]).step(now)
 
@@ -548,6 +548,7 @@ def test_values_of_single_conditions():
     values = late(9.0).status()['joint states'].values
     assert values['late, not commanded'] == NAMES[5]
     assert values['locked, never reported'] == NAMES[4]
+    assert values['locked positions [rad, m]'] == '0.125'
     assert Node().status()['joint states'].values['age [s]'] == 'never'
     assert warned(2).status()['model'].values['warning 2'] == 'text 1'
     assert fresh().status()['model'].values['gravity [m/s^2]'] == '0, 0, -9.80665'

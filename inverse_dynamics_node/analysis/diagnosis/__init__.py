@@ -1,15 +1,14 @@
 """Compares recorded efforts with the model, and diagnoses the differences."""
 
-from .fault import Change, Fault, FaultKind, GravityConvention, is_usual
-from .friction import friction_parameters, FrictionFit
+from .fault import Fault, FaultKind, GravityConvention, is_usual
+from .friction import Friction, friction_parameters
 from .recording import ComparisonResult, diagnose_recording, JointResidual
 
 __all__ = [
-    'Change',
     'ComparisonResult',
     'Fault',
     'FaultKind',
-    'FrictionFit',
+    'Friction',
     'GravityConvention',
     'JointResidual',
     'diagnose_recording',

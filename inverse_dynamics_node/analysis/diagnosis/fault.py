@@ -60,22 +60,6 @@ class GravityConvention(NamedTuple):
 WITH_GRAVITY = GravityConvention()
 
 
-class Change(NamedTuple):
-    """
-    RMS residual of one joint, before and after a fault is corrected.
-
-    Friction and small errors of the links are fitted in both cases. All values are in the unit of
-    the recorded efforts.
-    """
-
-    joint: str
-    is_prismatic: bool
-    before: float
-    after: float
-    measured: float
-    """RMS of the measured effort."""
-
-
 class Fault(NamedTuple):
     """A fault with its joints and fitted values."""
 
@@ -93,8 +77,6 @@ class Fault(NamedTuple):
     seconds. The values of velocities are factors: 0 if they are zero during a motion, and NaN if
     they are not proportional to the real velocities.
     """
-    changes: tuple[Change, ...] = ()
-    """Effects of the correction on the joints, largest reduction of the residual first."""
     error: float = 0.0
     """Standard error of the mass of a payload [kg]."""
     angle: float = 0.0
@@ -107,8 +89,6 @@ class Fault(NamedTuple):
     """Joints whose unit is unknown because friction dominates the effort."""
     is_every_joint: bool = False
     """Whether all joints that show more than friction have the fault."""
-    is_motor_side: bool = False
-    """Whether the efforts contain the friction of the gears, as motor currents do."""
     is_commanded: bool = True
     """Whether commanded efforts should contain gravity."""
     interval: tuple[float, float] | None = None

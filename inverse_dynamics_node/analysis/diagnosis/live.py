@@ -16,14 +16,14 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.signals import rms
-from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
+from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import is_moving
 from .loads import loaded_links
 from .regression import Fit, NOISE_FLOOR
@@ -54,6 +54,10 @@ MOST_STATES = 80
 Largest number of states that the search uses, because the search repeats while the robot runs.
 """
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
+
+DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default rate of ros2_control is 100 Hz
+OF_GIVEN_RATE = 0.8  # smallest fraction of the rate that the user gave
+OF_UPDATE_RATE = 0.5  # smallest fraction of update_rate, because many drivers are slow
 
 GRAVE = (
     FaultKind.POSITIONS,
@@ -110,7 +114,6 @@ class Obstacle(enum.Enum):
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'
     NOT_CHECKED = 'not_checked'
-    # The following obstacles leave the outcome undecided.
     NO_DIAGNOSTICS = 'no_diagnostics'
     NODE_STATE = 'node_state'
     NO_EFFORTS = 'no_efforts'
@@ -118,6 +121,14 @@ class Obstacle(enum.Enum):
     TOO_FEW_SAMPLES = 'too_few_samples'
     SMALL_EFFORTS = 'small_efforts'
     AT_REST = 'at_rest'
+
+
+_OUTCOMES = {
+    Obstacle.SLOW_STATES: Outcome.DIFFER,
+    Obstacle.SATURATED: Outcome.SATURATED,
+    Obstacle.NOT_CHECKED: Outcome.NOT_CHECKED,
+}
+"""Outcomes of obstacles; the other obstacles leave the outcome undecided."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +145,6 @@ class Size:
 class Agreement:
     """Whether model and robot agree, and possible causes of a difference."""
 
-    outcome: Outcome
     obstacle: Obstacle | None = None
     """Reason, apart from faults, to keep ``dry_run`` set to true."""
     faults: tuple[Fault, ...] = ()
@@ -155,8 +165,13 @@ class Agreement:
     """Whether the difference was found earlier, and not in the latest samples."""
     is_moving: bool = True
     """Whether any compared joint moved in the window."""
-    has_gravity: bool = True
-    """Whether the modelled efforts contain gravity."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """The outcome that follows from obstacle and faults."""
+        if self.obstacle is None:
+            return Outcome.DIFFER if self.faults else Outcome.AGREE
+        return _OUTCOMES.get(self.obstacle, Outcome.UNDECIDED)
 
     @property
     def cause(self) -> FaultKind | Obstacle | None:
@@ -192,76 +207,114 @@ class LiveWindow:
     """Keeps the samples of the last `duration` seconds."""
 
     def __init__(self, joint_names: Sequence[str], duration: float = DURATION) -> None:
-        self.joint_names = tuple(joint_names)
-        self.duration = duration
-        self._times: deque[float] = deque()
-        self._rows: deque[Floats] = deque()
-        self._measured: tuple[Any, ...] = ()
+        self.joint_names, self.duration = tuple(joint_names), duration
+        self._rows: deque[tuple[float, Floats]] = deque()
 
-    def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
-        """Add the newest sample, and drop samples that are too old."""
-        self._times.append(time)
-        self._rows.append(np.array([q, qd, measured, modelled]))
-        while self._times[0] < time - self.duration:
-            self._times.popleft()
+    def add(self, time: float, *signals: Floats) -> None:
+        """Add the newest sample, with the signals of `LiveSamples`, and drop old samples."""
+        self._rows.append((time, np.array(signals)))
+        while self._rows[0][0] < time - self.duration:
             self._rows.popleft()
-
-    def restart_after_change(self, *measured: Any) -> bool:
-        """
-        Drop all samples if a property of the measured efforts, such as the scale, changed.
-
-        Return whether samples of other properties were dropped.
-        """
-        if measured == self._measured:
-            return False
-        has_changed = bool(self._measured)
-        self._measured = measured
-        self._times.clear()
-        self._rows.clear()
-        return has_changed
 
     def samples(self) -> LiveSamples:
         """Return the samples in the window."""
-        rows = np.array(self._rows).reshape(-1, 4, len(self.joint_names))
-        return LiveSamples(self.joint_names, np.array(self._times), *rows.transpose(1, 0, 2))
+        times = np.array([time for time, _ in self._rows])
+        rows = np.array([row for _, row in self._rows]).reshape(-1, 4, len(self.joint_names))
+        return LiveSamples(self.joint_names, times, *rows.transpose(1, 0, 2))
+
+
+class StateRate(NamedTuple):
+    """Measured rate of joint states, and values that determine the lowest sufficient rate."""
+
+    measured: float | None
+    """Measured rate [Hz], or None if unknown."""
+    given: float | None = None
+    """Rate that the user expects [Hz], or None if not given."""
+    update_rate: float | None = None
+    """Requested rate of commands [Hz], or None if each joint state leads to one command."""
+    is_simulated: bool = False
+    """Whether the node uses simulated time, which may be slower than real time."""
+
+    @property
+    def least(self) -> float:
+        """Lowest sufficient rate [Hz]."""
+        if self.given is not None:
+            return OF_GIVEN_RATE * self.given
+        if self.update_rate is not None:
+            return OF_UPDATE_RATE * self.update_rate
+        return 0.0 if self.is_simulated else DEFAULT_LEAST_RATE
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether the measured rate is too low."""
+        return self.measured is not None and self.measured < self.least
 
 
 # ---- The comparison ------------------------------------------------------------------------
 
 
-def diagnose_samples(
+def check_agreement(
     samples: LiveSamples,
     robot: RobotModel,
     gravity: Floats,
     limits: Floats | None = None,
     convention: GravityConvention = WITH_GRAVITY,
-    payloads: Sequence[tuple[str, float, Floats]] = (),
+    payloads: Sequence[tuple[str, float, Sequence[float]]] = (),
+    commanded: Sequence[str] = (),
+    saturated: Sequence[str] = (),
+    rate: StateRate | None = None,
 ) -> Agreement:
     """
-    Compare measured and modelled efforts.
+    Check whether model and robot agreed in the last few seconds.
 
     The samples contain all joints, in the order of `robot`. Joints whose positions were never
     reported are assumed to rest at zero, as in recordings. `gravity`, in the frame of the base
     link [m/s^2], is required even if the modelled efforts exclude gravity. By default, `limits`
     are the effort limits of the robot. A payload consists of a link, a mass [kg], and the centre
-    of mass in the frame of the link [m].
+    of mass in the frame of the link [m]. Constant efforts of joints other than the `commanded`
+    ones are ignored. `saturated` contains the commanded joints with efforts that reached the
+    effort limits. `rate` is that of the joint states.
     """
+    if commanded:
+        is_commanded = np.isin(samples.joint_names, commanded)
+        is_constant = (samples.measured == samples.measured[:1]).all(axis=0)
+        measured = np.where(is_constant & ~is_commanded, np.nan, samples.measured)
+        samples = samples._replace(measured=measured)
+    dynamics = InverseDynamics(robot, gravity)
+    for link, mass, com in payloads:
+        if link in robot.link_names:
+            dynamics.set_payload(link, mass, com)
     limits = robot.effort_limits if limits is None else limits
+    agreement = _compare(samples, dynamics, limits, convention)
+    checks = agreement.checks
+    if checks and commanded:
+        checks = {joint: checks.get(joint, Check.NOT_MEASURED) for joint in commanded}
+    agreement = replace(agreement, saturated=tuple(saturated), checks=checks)
+    is_grave = any(fault.kind in GRAVE for fault in agreement.faults)
+    if rate is not None and rate.is_slow and not is_grave:
+        numbers = rate.measured or 0.0, rate.least
+        agreement = replace(agreement, obstacle=Obstacle.SLOW_STATES, faults=(), numbers=numbers)
+    if saturated and (agreement.outcome is not Outcome.DIFFER or agreement.obstacle):
+        return replace(agreement, obstacle=Obstacle.SATURATED, faults=(), numbers=())
+    return agreement
+
+
+def _compare(
+    samples: LiveSamples, dynamics: InverseDynamics, limits: Floats, convention: GravityConvention
+) -> Agreement:
+    """Compare the joints whose efforts are known in most samples."""
     is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
     # Efforts are unknown until all topics are connected and the filters have settled.
     known_rows = is_known.any(axis=1).sum()
     columns = np.flatnonzero(2 * is_known.sum(axis=0) > known_rows).tolist()
     if len(samples.times) >= MIN_SAMPLES and not np.isfinite(samples.measured).any():
-        return Agreement(Outcome.UNDECIDED, Obstacle.NO_EFFORTS)
+        return Agreement(Obstacle.NO_EFFORTS)
     is_reported = np.isfinite(samples.q).any(axis=0)
     samples = samples._replace(q=np.where(is_reported, samples.q, 0.0))
     rows = is_known[:, columns].all(axis=1) & np.isfinite(samples.q).all(axis=1)
     if not columns or rows.sum() < MIN_SAMPLES:
-        return Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
+        return Agreement(Obstacle.TOO_FEW_SAMPLES)
     whole = LiveSamples(samples.joint_names, *(signal[rows] for signal in samples[1:]))
-    dynamics = InverseDynamics(robot, gravity)
-    for link, mass, com in payloads:
-        dynamics.set_payload(link, mass, com)
     return _Comparison(whole, columns, dynamics, limits, convention).agreement()
 
 
@@ -283,7 +336,10 @@ class _Comparison:
         self.measured, self.modelled = whole.measured[:, columns], whole.modelled[:, columns]
         self.is_prismatic = dynamics.robot.is_prismatic_joint[columns]
         self.limits = limits[columns]
-        self.moves: Booleans = rms(np.nan_to_num(whole.qd[:, columns])) > MOVING
+        # Velocities that the driver does not measure are derived.
+        has_velocity = np.isfinite(whole.qd).all(axis=0)
+        self.qd = np.where(has_velocity, whole.qd, np.gradient(whole.q, whole.times, axis=0))
+        self.moves: Booleans = rms(self.qd[:, columns]) > MOVING
         self.effort = np.maximum(rms(self.measured), rms(self.modelled))
         self.floor = self._floor()
         self.is_large = rms(self.modelled) > self.floor
@@ -293,18 +349,13 @@ class _Comparison:
 
     def agreement(self) -> Agreement:
         """Return whether model and robot agree."""
-        common = Agreement(
-            Outcome.AGREE,
-            sizes=self._sizes(),
-            is_moving=bool(self.moves.any()),
-            has_gravity=self.convention.in_measured,
-        )
+        common = Agreement(sizes=self._sizes(), is_moving=bool(self.moves.any()))
         is_zero = ~self.measured[:, self.silent].any()
         if self.silent.any() and is_zero and np.array_equal(self.silent, self.is_large):
-            return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.ZERO_EFFORTS)
+            return replace(common, obstacle=Obstacle.ZERO_EFFORTS)
         robot, whole = self.dynamics.robot, self.whole
         if positions := positions_fault(robot, whole.q, whole.joint_names):
-            return replace(common, outcome=Outcome.DIFFER, faults=tuple(positions))
+            return replace(common, faults=tuple(positions))
         velocities = check_velocities(
             self.names, whole.times, whole.q[:, self.index], whole.qd[:, self.index]
         )
@@ -315,16 +366,13 @@ class _Comparison:
         }
         common = replace(common, checks=checks)
         known = [*velocities.faults, *known]
-        faults = (*known, *([self._unexplained(left)] if left else []))
+        unexplained = Fault(FaultKind.UNEXPLAINED, tuple(self.names[c] for c in left))
+        faults = (*known, *([unexplained] if left else []))
         if not known and self._may_be_friction(left):
-            return replace(
-                common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.AT_REST, faults=faults
-            )
-        if faults:
-            return replace(common, outcome=Outcome.DIFFER, faults=faults)
-        if not self.is_large.any() and not is_signed.any():
-            return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.SMALL_EFFORTS)
-        return common
+            return replace(common, obstacle=Obstacle.AT_REST, faults=faults)
+        if not faults and not self.is_large.any() and not is_signed.any():
+            return replace(common, obstacle=Obstacle.SMALL_EFFORTS)
+        return replace(common, faults=faults)
 
     def _search(self) -> tuple[list[Fault], dict[int, float], Booleans]:
         """
@@ -341,7 +389,7 @@ class _Comparison:
         fit = search.without_faults()
         left = self._exceeding(fit, AGREEMENT)
         if self._exceeding(fit, SUSPICIOUS):
-            fit = search.best()
+            fit = search.best(fit)
             names = [self.names[c] for c in self.searched]
             found = [
                 fault
@@ -359,7 +407,7 @@ class _Comparison:
         modelled, largest = rms(self.modelled), np.zeros(len(self.names))
         if not self.convention.in_measured:
             # If the driver removes gravity, the errors of the driver's gravity model remain.
-            gravity = self.dynamics.gravity_efforts(np.nan_to_num(self.whole.q[self.some]))
+            gravity = self.dynamics.gravity_efforts(self.whole.q[self.some])
             modelled = np.maximum(modelled, rms(gravity[:, self.index]))
         for kind in (False, True):
             same = self.is_prismatic == kind
@@ -372,7 +420,7 @@ class _Comparison:
     def _rows(self) -> Rows:
         """Return the rows of joints with measured efforts."""
         whole, robot, some = self.whole, self.dynamics.robot, self.some
-        q, qd = np.nan_to_num(whole.q), np.nan_to_num(whole.qd)
+        q, qd = whole.q, self.qd
         qdd: Floats = np.gradient(qd, whole.times, axis=0)
         index = self.index[self.searched]
         speeds = qd[:, index]
@@ -430,15 +478,6 @@ class _Comparison:
         return all(
             not self.moves[c] and residual < FRICTION_AT_REST * self.limits[c]
             for c, residual in differs.items()
-        )
-
-    def _unexplained(self, differs: dict[int, float]) -> Fault:
-        changes = [
-            Change(self.names[c], bool(self.is_prismatic[c]), left, left, rms(self.measured)[c])
-            for c, left in differs.items()
-        ]
-        return Fault(
-            FaultKind.UNEXPLAINED, tuple(each.joint for each in changes), changes=tuple(changes)
         )
 
     def _sizes(self) -> tuple[Size, ...]:

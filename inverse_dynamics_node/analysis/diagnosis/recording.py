@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
 import math
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
+from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..columns import friction_columns, STATES_AT_ONCE
 from ..recordings.resampling import pieces, smooth_like_efforts
 from ..recordings.signals import derive, Motion, Recording, rms, without_turns
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
-from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
+from .friction import Friction, frictions, is_moving
 from .loads import loaded_links
 from .regression import Fit
-from .rows import Rows, Signals
+from .rows import COULOMB, DAMPING, LOAD_FRICTION, OFFSET, ROTOR, Rows, Signals
 from .search import Search
 from .simple_faults import constant_fault, not_measured, positions_fault
-from .statements import faults_of
+from .statements import faults_of, is_considerable
 
 SAMPLES = 600  # approximate number of samples that the search uses
 MIN_DURATION = 4.0  # [s]; in shorter recordings, a fit may be good by chance
-WIDTH = 0.03  # [rad/s or m/s]; speed over which the search smooths Coulomb friction
+WIDTH = 0.03  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 LEAST_MOVING = 0.05  # fraction of the samples in which a joint moves, if it moves
 DELAY_ROUNDS = 2  # of linear estimates of a delay
 INERTIAS = 50  # approximate number of mass matrices for the estimate of noise
@@ -44,7 +41,7 @@ class JointResidual:
     rms_residual: float
     """RMS of measured minus modelled effort."""
     rms_friction: float
-    """RMS residual if only friction is fitted."""
+    """RMS residual if only friction and an offset are fitted."""
     rms_corrected: float
     """RMS residual with fitted friction, a fitted offset and all corrections of faults."""
     noise: float
@@ -52,10 +49,7 @@ class JointResidual:
     Standard deviation of the noise after smoothing, or NaN if the efforts were filtered before the
     recording. Residuals below the noise need no explanation.
     """
-    scale: float
-    """Slope of the line ``measured = scale * modelled + offset``, fitted by least squares."""
-    offset: float
-    friction: FrictionFit
+    friction: Friction
     is_varying: bool
     """Whether the measured effort varies."""
 
@@ -79,10 +73,8 @@ class ComparisonResult:
 
     motion: Motion
     """The motion of all recorded joints."""
-    compared: tuple[int, ...]
-    """Indices in ``motion.joint_names`` of the c joints with measured efforts."""
     joints: tuple[JointResidual, ...]
-    """Residuals of the compared joints."""
+    """Residuals of the c joints with measured efforts."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
@@ -91,8 +83,6 @@ class ComparisonResult:
     """Modelled efforts with fitted friction and effects of all faults, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
     """Faults that explain the difference, most important first."""
-    width: float
-    """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     is_too_short: bool
     """Whether the recording is too short to diagnose a difference."""
     moving: tuple[int, ...]
@@ -112,23 +102,13 @@ class ComparisonResult:
         return self._mean([joint.rms_corrected for joint in self.joints])
 
     def _mean(self, residuals: list[float]) -> float:
-        return 1.0 - unexplained_fraction(
-            [residuals[c] ** 2 for c in self.moving],
-            [self.joints[c].rms_measured ** 2 for c in self.moving],
-            [self.joints[c].is_prismatic for c in self.moving],
-        )
-
-
-def unexplained_fraction(
-    remaining: Sequence[float], squares: Sequence[float], is_prismatic: Sequence[bool]
-) -> float:
-    """Return the unexplained fraction of the squared efforts, averaged over both joint types."""
-    left, whole = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
-    for part, square, kind in zip(remaining, squares, is_prismatic, strict=True):
-        left[kind] += part
-        whole[kind] += square
-    fractions = [left[kind] / whole[kind] for kind in whole if whole[kind]]
-    return float(np.mean(fractions)) if fractions else math.nan
+        fractions = []
+        for kind in (False, True):
+            same = [c for c in self.moving if self.joints[c].is_prismatic is kind]
+            whole = sum(self.joints[c].rms_measured ** 2 for c in same)
+            if whole:
+                fractions.append(1.0 - sum(residuals[c] ** 2 for c in same) / whole)
+        return float(np.mean(fractions)) if fractions else math.nan
 
 
 def diagnose_recording(
@@ -185,83 +165,78 @@ class _Comparison:
     ) -> None:
         self.dynamics, self.motion, self.robot = dynamics, motion, dynamics.robot
         self.link, self.convention = link, convention
+        self.moved = index
         q, qd, qdd = np.zeros((3, len(motion.times), len(self.robot.joint_names)))
         q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
         self.states = q, qd, qdd
-        self.compared = np.flatnonzero(np.isfinite(motion.efforts).all(axis=0)).tolist()
-        self.index = [index[j] for j in self.compared]
-        self.names = [motion.joint_names[j] for j in self.compared]
-        self.measured = motion.efforts[:, self.compared]
-        self.qd = motion.qd[:, self.compared]
-        self.direction = smooth_like_efforts(motion, np.tanh(self.qd / FRICTION_WIDTH))
+        compared = np.flatnonzero(np.isfinite(motion.efforts).all(axis=0)).tolist()
+        self.index = [index[j] for j in compared]
+        self.names = [motion.joint_names[j] for j in compared]
+        self.measured = motion.efforts[:, compared]
         terms = dynamics.effort_terms(*self.states)
         self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
         if not convention.in_measured:
             self.modelled = self.modelled - terms.gravity[:, self.index]
         # Friction is fitted again, so these efforts exclude the friction of the dynamics.
         self.rigid: Floats = self.modelled - terms.friction[:, self.index]
-        self.moves = [not obstacle(x, motion.period, FRICTION_WIDTH) for x in self.qd.T]
         largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
-        variation = np.ptp(self.measured, axis=0)
-        self.varying = np.flatnonzero(variation > CONSTANT * largest).tolist()
-
-    @property
-    def is_too_short(self) -> bool:
-        """Whether a fit may be good by chance."""
-        return len(self.motion.times) * self.motion.period < MIN_DURATION
+        is_varying = np.ptp(self.measured, axis=0) > CONSTANT * largest
+        self.varying = np.flatnonzero(is_varying).tolist()
+        self.noise = self._noise(motion.effort_noise[compared])
 
     def result(self) -> ComparisonResult:
         """Diagnose the differences, fit friction, and compare all joints."""
         least = 0.01 * float(np.max(np.abs(self.rigid)))
         constant = np.flatnonzero(not_measured(self.measured, self.rigid, least)).tolist()
-        silent = constant_fault({self.names[c]: float(self.measured[0, c]) for c in constant})
-        reasons = dict.fromkeys(constant, 'the effort of this joint was not measured')
-        faults = positions_fault(self.robot, self.motion.q, self.motion.joint_names)
-        measured, efforts = self.measured, self.rigid.copy()
-        recorded: Callable[[Floats], Floats] = np.copy
-        load, used = np.abs(self.rigid), np.ones(len(efforts), dtype=bool)
-        if not faults and self.varying and not self.is_too_short:
+        faults = constant_fault({self.names[c]: float(self.measured[0, c]) for c in constant})
+        far = positions_fault(self.robot, self.motion.q, self.motion.joint_names)
+        faults += far
+        reason = (
+            'the positions are wrong' if far else 'the measured effort of this joint never changes'
+        )
+        found = [Friction(unknown_because=reason) for _ in self.names]
+        plain, corrected = self.rigid.copy(), self.rigid.copy()
+        used = np.ones(len(plain), dtype=bool)
+        moving: list[int] = []
+        is_too_short = len(self.motion.times) * self.motion.period < MIN_DURATION
+        if not far and self.varying:
             signals = self._signals()
-            rows = Rows(self.dynamics, signals, self._links(), self.convention)
+            links = loaded_links(self.robot, self.states[0], self.link)
+            rows = Rows(self.dynamics, signals, links, self.convention)
             search = Search(rows, can_be_late=math.isinf(self.motion.cut_off))
-            fit = self._with_exact_delay(search, search.best())
-            faults = faults_of(search, fit, [self.names[c] for c in self.varying])
-            reasons |= self._obscured(search, fit, faults)
-            measured, efforts, recorded = self._corrected(search, fit)
-            load = np.abs(efforts)
-            for c, rotor in self._rotors(faults).items():
-                efforts[:, c] += rotor * self.states[2][:, self.index[c]]
+            every = self._signals(every=True)
+            fit = search.without_faults()
+            plain[:, self.varying] += _friction_efforts(
+                search.with_friction(fit, False), every, self.rigid[:, self.varying]
+            )
+            if not is_too_short:
+                fit = self._with_exact_delay(search, search.best(fit))
+                faults += faults_of(search, fit, [self.names[c] for c in self.varying])
+            has_bodies = any(fault.kind is FaultKind.BODIES for fault in faults)
+            rubbing = search.with_friction(fit, has_bodies)
+            for c, friction in zip(self.varying, self._known(search, rubbing), strict=True):
+                found[c] = friction
+            rotors = is_considerable(search, fit, ROTOR)
+            corrected = self._recorded(rubbing, search.explained(rubbing, every, rotors))
+            moving = [c for c, moves in zip(self.varying, signals.moves, strict=True) if moves]
             window = fit.hypothesis.window
             if window is not None and window.kind == 'push':
                 used = ~window.inside(self.motion.times)
-        fits = self._friction(measured - efforts, reasons, used)
-        if used.all():
-            fits = self._shapes(fits, measured - efforts, load)
-        for c, friction in enumerate(fits):
-            efforts[:, c] += self._friction_efforts(c, friction, load[:, c])
-        corrected = recorded(efforts)
-        plain = self._friction(self.measured - self.rigid, {}, np.ones_like(used))
-        moving = [c for c in self.varying if self.moves[c]]
         return ComparisonResult(
             motion=self.motion,
-            compared=tuple(self.compared),
             joints=tuple(
-                self._residual(c, fits[c], plain[c], corrected[:, c], used)
-                for c in range(len(fits))
+                self._residual(c, found[c], plain[:, c], corrected[:, c], used)
+                for c in range(len(found))
             ),
             measured=self.measured,
             modelled=self.modelled,
             corrected=corrected,
-            faults=(*silent, *faults),
-            width=FRICTION_WIDTH,
-            is_too_short=self.is_too_short,
+            faults=tuple(faults),
+            is_too_short=is_too_short,
             moving=tuple(moving or self.varying),
         )
 
     # ---- Rows ----------------------------------------------------------------------------
-
-    def _links(self) -> tuple[str, ...]:
-        return loaded_links(self.robot, self.states[0], self.link)
 
     def _with_exact_delay(self, search: Search, fit: Fit) -> Fit:
         """Return the fit with a delay that is accurate even if the efforts vary quickly."""
@@ -278,19 +253,19 @@ class _Comparison:
         motion, count = self.motion, len(self.motion.times)
         some = slice(None, None, 1 if every else max(1, count // SAMPLES))
         measured = self._later(self.measured[:, self.varying], delay)
-        qd = self.qd[:, self.varying]
+        index = [self.index[c] for c in self.varying]
+        qd = self.states[1][:, index]
         rates = [
             np.gradient(measured[a:b], motion.times[a:b], axis=0) for a, b in pieces(motion.times)
         ]
         fast = is_moving(qd, WIDTH)[some]
         moves = fast.mean(axis=0) > LEAST_MOVING
-        q, qd_all, qdd = (x[some] for x in self.states)
         return Signals(
-            joints=tuple(self.index[c] for c in self.varying),
+            joints=tuple(index),
             times=motion.times[some],
-            q=q,
-            qd=qd_all,
-            qdd=qdd,
+            q=self.states[0][some],
+            qd=self.states[1][some],
+            qdd=self.states[2][some],
             measured=measured[some],
             added=np.zeros_like(measured[some]),
             direction=smooth_like_efforts(motion, np.tanh(qd / WIDTH))[some],
@@ -298,60 +273,47 @@ class _Comparison:
             used=fast | ~moves,
             moves=moves,
             independent=min(count / motion.window, 2.0 * motion.cut_off * motion.period * count),
-            noise=self._noise[self.varying],
+            noise=self.noise[self.varying],
             dry=np.zeros(len(self.varying)),
         )
 
-    def _obscured(self, search: Search, fit: Fit, faults: list[Fault]) -> dict[int, str]:
-        """Return reasons why the friction of joints is unknown, keyed by joint index."""
-        reasons = {}
-        has_scale = any(fault.kind is FaultKind.SCALE for fault in faults)
-        left, shown = search.unexplained(fit), search.shows_scale(fit)
-        for j, c in enumerate(self.varying):
-            if left[j] and search.rows.signals.moves[j]:
-                reasons[c] = 'the model does not explain the effort of this joint'
+    def _noise(self, effort_noise: Floats) -> Floats:
+        """Return the standard deviation of the noise in each residual, shape (c,) [N m or N]."""
+        some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
+        inertia = self.dynamics.mass_matrix(self.states[0][some])
+        modelled: Floats = inertia[:, :, self.moved] * self.motion.qdd_noise
+        squares: Floats = np.mean(np.sum(modelled**2, axis=-1), axis=0)
+        return np.asarray(np.hypot(np.sqrt(squares[self.index]), effort_noise))
+
+    # ---- Efforts -------------------------------------------------------------------------
+
+    def _known(self, search: Search, fit: Fit) -> list[Friction]:
+        """Return the friction of each varying joint, if the model explains its effort."""
+        found = frictions(fit, search.rows.signals.moves)
+        unexplained, shown = search.unexplained(fit), search.shows_scale(fit)
+        has_scale = any(factor != -1.0 for _, factor in fit.hypothesis.factors)
+        for j in range(len(found)):
+            reason = ''
+            if unexplained[j]:
+                reason = 'the model does not explain the effort of this joint'
             elif has_scale and not shown[j]:
-                reasons[c] = 'the effort of this joint is in an unknown unit'
-        return reasons
+                reason = 'the effort of this joint is in an unknown unit'
+            found[j] = Friction(unknown_because=reason) if reason else found[j]
+        return found
 
-    def _rotors(self, faults: list[Fault]) -> dict[int, float]:
-        """Return the rotor inertias of the faults, by joint index."""
-        return {
-            self.names.index(name): value
-            for fault in faults
-            if fault.kind is FaultKind.ROTOR_INERTIA
-            for name, value in zip(fault.joints, fault.values, strict=True)
-        }
-
-    # ---- Corrected efforts ---------------------------------------------------------------
-
-    def _corrected(
-        self, search: Search, fit: Fit
-    ) -> tuple[Floats, Floats, Callable[[Floats], Floats]]:
+    def _recorded(self, fit: Fit, explained: Floats) -> Floats:
         """
-        Return corrected measured efforts, and the efforts that explain them without friction.
+        Return the efforts that a fit expects in the recording, shape (K, c) [N m or N].
 
-        Both have the shape (K, c). The function in the result applies signs, units, order and
-        delay of the recording to efforts.
+        The explained efforts of the varying joints have the units and the order of the model.
         """
         h, varying = fit.hypothesis, np.array(self.varying)
-        signs = np.ones(len(varying))
-        signs[list(h.axes)] = -1.0
-        factor, source = signs * h.factor(len(varying)), varying[h.order(len(varying))]
+        factor, source = h.factor(len(varying)), varying[h.order(len(varying))]
+        factor[list(h.axes)] *= -1.0
         delay = float(fit.shared['delay'][0]) if h.is_late else 0.0
-        measured, efforts = self.measured.copy(), self.rigid.copy()
-        measured[:, varying] = self._later(self.measured[:, source], delay) / factor
-        signals = self._signals(every=True)
-        for k in range(0, len(efforts), STATES_AT_ONCE):
-            some = slice(k, k + STATES_AT_ONCE)
-            efforts[some, varying] = search.explained(fit, signals.part(some))
-
-        def recorded(efforts: Floats) -> Floats:
-            found: Floats = efforts.copy()
-            found[:, source] = self._later(factor * efforts[:, varying], -delay)
-            return found
-
-        return measured, efforts, recorded
+        efforts: Floats = self.rigid.copy()
+        efforts[:, source] = self._later(factor * explained, -delay)
+        return efforts
 
     def _later(self, efforts: Floats, delay: float) -> Floats:
         """Interpolate the efforts at the sample times plus a delay [s]."""
@@ -364,93 +326,35 @@ class _Comparison:
             parts.append(np.stack(columns, axis=1))
         return np.concatenate(parts)
 
-    # ---- Friction ------------------------------------------------------------------------
-
-    def _friction(
-        self, residual: Floats, reasons: dict[int, str], used: Booleans
-    ) -> list[FrictionFit]:
-        """Fit the friction of each joint to the residuals of the used samples."""
-        fits = []
-        for c in range(len(self.names)):
-            fit = fit_friction(
-                self.qd[used, c],
-                self.direction[used, c],
-                residual[used, c],
-                self.motion.period,
-                self.motion.window,
-                FRICTION_WIDTH,
-            )
-            if c in reasons:
-                fit = FrictionFit.unknown(reasons[c], fit.offset if fit.unknown_because else 0.0)
-            fits.append(fit)
-        return fits
-
-    def _shapes(
-        self, fits: list[FrictionFit], residual: Floats, load: Floats
-    ) -> list[FrictionFit]:
-        """Fit smoothing widths and load-dependent friction, given gear loads of shape (K, c)."""
-        smooth = partial(smooth_like_efforts, self.motion)
-        return [
-            fit_shape(
-                fit,
-                self.qd[:, c],
-                residual[:, c],
-                load[:, c],
-                smooth,
-                FRICTION_WIDTH,
-                self.motion.window,
-            )
-            for c, fit in enumerate(fits)
-        ]
-
-    def _friction_efforts(self, c: int, fit: FrictionFit, load: Floats) -> Floats:
-        """Return friction plus offset of one joint, given the load on the gear."""
-        qd = self.qd[:, c]
-        if not fit.has_shape:
-            return fit.friction(qd, self.direction[:, c]) + fit.offset
-        smooth = partial(smooth_like_efforts, self.motion)
-        factors = np.array([fit.damping, fit.coulomb, fit.load_friction, fit.offset])
-        return np.asarray(friction_columns(qd, fit.width, load, smooth) @ factors)
-
     def _residual(
-        self, c: int, fit: FrictionFit, plain: FrictionFit, corrected: Floats, used: Booleans
+        self, c: int, friction: Friction, plain: Floats, corrected: Floats, used: Booleans
     ) -> JointResidual:
         """
         Compare the efforts of one joint in the used samples.
 
-        `plain` is the friction that was fitted without a correction of faults.
+        `plain` are the modelled efforts with friction, but without a correction of faults.
         """
         # If the friction of a joint is unknown, all samples are compared.
-        when = used if fit.unknown_because else used & is_moving(self.qd[:, c], FRICTION_WIDTH)
-        measured, modelled = self.measured[when, c], self.modelled[when, c]
-        rubbing = plain.friction(self.qd[when, c], self.direction[when, c])
-        is_varying = c in self.varying
-        has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
-        scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
+        fast = is_moving(self.states[1][:, self.index[c]], WIDTH)
+        when = used if friction.unknown_because else used & fast
+        measured = self.measured[when, c]
         is_filtered = math.isfinite(self.motion.cut_off)
-        noise = math.nan if is_filtered else float(self._noise[c])
         return JointResidual(
             name=self.names[c],
             is_prismatic=bool(self.robot.is_prismatic_joint[self.index[c]]),
             rms_measured=float(rms(measured)),
-            rms_modelled=float(rms(modelled)),
-            rms_residual=float(rms(measured - modelled)),
-            rms_friction=float(rms(measured - self.rigid[when, c] - rubbing)),
+            rms_modelled=float(rms(self.modelled[when, c])),
+            rms_residual=float(rms(measured - self.modelled[when, c])),
+            rms_friction=float(rms(measured - plain[when])),
             rms_corrected=float(rms(measured - corrected[when])),
-            noise=noise,
-            scale=float(scale),
-            offset=float(offset),
-            friction=fit,
-            is_varying=is_varying,
+            noise=math.nan if is_filtered else float(self.noise[c]),
+            friction=friction,
+            is_varying=c in self.varying,
         )
 
-    @cached_property
-    def _noise(self) -> Floats:
-        """Standard deviation of the noise in each residual, shape (c,) [N m or N]."""
-        some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
-        inertia = self.dynamics.mass_matrix(self.states[0][some])
-        moved = [self.robot.joint_names.index(name) for name in self.motion.joint_names]
-        modelled: Floats = inertia[:, :, moved] * self.motion.qdd_noise
-        squares: Floats = np.mean(np.sum(modelled**2, axis=-1), axis=0)
-        noise = self.motion.effort_noise[self.compared]
-        return np.asarray(np.hypot(np.sqrt(squares[self.index]), noise))
+
+def _friction_efforts(fit: Fit, signals: Signals, model: Floats) -> Floats:
+    """Return the friction and offsets of a fit, given modelled efforts, shape (K, c)."""
+    drives, qd = fit.drives, signals.qd[:, signals.joints]
+    dry = drives[:, COULOMB] + drives[:, LOAD_FRICTION] * np.abs(model)
+    return np.asarray(drives[:, DAMPING] * qd + dry * signals.direction + drives[:, OFFSET])

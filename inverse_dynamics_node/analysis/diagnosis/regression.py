@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
+from ..columns import STATES_AT_ONCE
 from .loads import MAX_REACH, point_mass_parameters
 from .rows import (
     Columns,
@@ -22,6 +23,7 @@ from .rows import (
     OFFSET,
     Places,
     POINT_MASS,
+    ROTOR,
     Rows,
     Signals,
     Window,
@@ -29,9 +31,8 @@ from .rows import (
 
 NEEDED = 12.0  # least log evidence that a fault must add
 ROUNDS = 6  # of variances, nonnegative friction, and nonlinear parameters
-FLOOR = 0.02  # accuracy of models, as a fraction of a joint's RMS effort
-GOOD_FLOOR = 0.005  # the same for models with good bodies
-LEAST_FLOOR = 0.001  # the same, as a fraction of the largest RMS effort
+FLOOR = 0.01  # accuracy of models, as a fraction of a joint's RMS effort
+LEAST_FLOOR = 0.001  # the same, as a fraction of the largest RMS effort of all joints of a type
 UNEXPLAINED = 0.3  # fraction of the squared effort that a good fit leaves at most
 MOST_UNEXPLAINED = 0.5  # the same for all joints of a type; more is reported at rest too
 NOISE_FLOOR = 2.0  # RMS residuals below this multiple of the noise need no explanation
@@ -153,7 +154,24 @@ class Regression:
         spreads = (WIDE_BODIES,) if h.has_wrong_bodies else (GOOD_BODIES, 1.0)
         return max((self.fit_with(h, spread) for spread in spreads), key=lambda fit: fit.evidence)
 
-    def fit_with(self, h: Hypothesis, bodies: float) -> Fit:
+    def with_friction(self, fit: Fit, has_bodies: bool) -> Fit:
+        """
+        Fit friction accurately, with the faults of a fit; `has_bodies` says whether bodies differ.
+
+        Offsets have a wide prior, because they look like friction. Friction that depends on the
+        load is fitted where it is significant, because it also looks like other friction.
+        """
+        h = fit.hypothesis._replace(has_offsets=True)
+        bodies = fit.bodies if has_bodies else 0.0
+        first = self.fit_with(h, bodies)
+        values, errors = first.drives[:, LOAD_FRICTION], first.drive_errors[:, LOAD_FRICTION]
+        found = self.fit_with(h, bodies, values > CERTAIN * errors)
+        return found._replace(shared=fit.shared)
+
+    def fit_with(
+        self, h: Hypothesis, bodies: float, has_load_friction: Booleans | None = None
+    ) -> Fit:
+        """Fit a hypothesis, given the spread of the bodies."""
         rows, c = self.rows, self.rows.count
         signs = np.ones(c)
         signs[list(h.axes)] = -1.0
@@ -171,14 +189,15 @@ class Regression:
         rms = rows.rms[order] / np.abs(factor)
         spread = DRIVE_SPREAD * rms[:, None]
         spread[:, LOAD_FRICTION] = DRIVE_SPREAD[LOAD_FRICTION] * columns.sizes[:, LOAD_FRICTION]
+        if has_load_friction is not None:
+            spread[~has_load_friction, LOAD_FRICTION] = 0.0
         if h.has_offsets:
             spread[:, OFFSET] = WIDE_OFFSET * rms
         dry = ~rows.signals.moves * rows.signals.dry[order] / np.abs(factor)
         spread[:, OFFSET] = np.hypot(spread[:, OFFSET], dry)
         counts = np.maximum(weights.sum(axis=0), 1e-9)
         noise = (rows.signals.noise[order] / factor) ** 2
-        accuracy = GOOD_FLOOR if bodies == GOOD_BODIES else FLOOR
-        floor = (accuracy * rms) ** 2 + (LEAST_FLOOR * rows.rms.max() / factor) ** 2
+        floor = (FLOOR * rms) ** 2 + (LEAST_FLOOR * rows.largest / factor) ** 2
         variance = (0.3 * rms) ** 2 + noise + floor
         shared = _Shared(h, columns.at, rows.dynamics.gravity, width, bodies)
         x, drives = np.zeros(shared.map.shape[1]), np.zeros((c, len(columns.at.drive)))
@@ -284,23 +303,29 @@ class Regression:
             > self.fit_with(fit.hypothesis, GOOD_BODIES).evidence + BODIES_COST + NEEDED
         )
 
-    def explained(self, fit: Fit, signals: Signals) -> Floats:
+    def explained(self, fit: Fit, signals: Signals, rotors: Booleans) -> Floats:
         """
-        Return the efforts that a fit explains without friction and offsets, shape (S, c).
+        Return the efforts that a fit explains, shape (S, c).
 
         The efforts are those of other samples of the same motion, in the units of the model. They
-        contain all faults of the hypothesis that act on the model.
+        contain friction, offsets, and all faults of the hypothesis that act on the model. `rotors`
+        says which joints have a rotor that the model lacks.
         """
-        h, rows = fit.hypothesis, self.rows.at(signals)
-        signs = np.ones(rows.count)
+        h, at, parts = fit.hypothesis, fit.columns.at, []
+        signs = np.ones(self.rows.count)
         signs[list(h.axes)] = -1.0
-        columns = rows.columns(signs, h.other_gravity, h.window)
-        left_out = [*range(rows.count), *columns.at.rate]
-        left_out += [] if self.has_wrong_bodies(fit) else columns.at.bodies.tolist()
         solution = -fit.solution
-        solution[:, left_out] = 0.0
-        solution[:, columns.at.drive] = 0.0
-        return np.asarray((columns.matrix @ solution[:, :, None])[..., 0].T)
+        solution[:, : self.rows.count] = 0.0
+        solution[:, at.rate] = 0.0
+        solution[:, at.drive[ROTOR]] *= rotors
+        for k in range(0, len(signals.times), STATES_AT_ONCE):
+            rows = self.rows.at(signals.part(slice(k, k + STATES_AT_ONCE)))
+            columns = rows.columns(signs, h.other_gravity, h.window)
+            scaled = solution.copy()
+            # The columns of the drives were divided by their sizes, which differ in each part.
+            scaled[:, at.drive] *= columns.sizes / fit.columns.sizes
+            parts.append((columns.matrix @ scaled[:, :, None])[..., 0].T)
+        return np.concatenate(parts)
 
 
 class _Shared:

@@ -21,7 +21,7 @@ from ..columns import body_columns, gravity_columns, payload_columns
 from .fault import GravityConvention, WITH_GRAVITY
 
 SPREAD = 0.12  # assumed relative standard deviation of masses
-SIZE = 0.2  # [m], assumed size of bodies
+SIZE = 0.2  # [m], smallest assumed size of bodies
 LIGHTEST = 0.1  # [kg]; lighter bodies are assumed to be as uncertain as bodies of this mass
 NEGLIGIBLE = 1e-3  # combinations of bodies with smaller efforts, as a fraction of the RMS effort
 SMALL = 0.01  # the efforts of bodies are compared with this fraction of the largest RMS effort
@@ -64,21 +64,11 @@ class Signals(NamedTuple):
 
     def part(self, some: slice) -> Signals:
         """Return a part of the samples."""
-        per_sample = {
-            name: getattr(self, name)[some]
-            for name in (
-                'times',
-                'q',
-                'qd',
-                'qdd',
-                'measured',
-                'added',
-                'direction',
-                'rate',
-                'used',
-            )
-        }
-        return self._replace(**per_sample)
+        fields = self._asdict()
+        per_sample = [
+            name for name, values in fields.items() if name == 'times' or np.ndim(values) == 2
+        ]
+        return self._replace(**{name: fields[name][some] for name in per_sample})
 
 
 class Window(NamedTuple):
@@ -147,6 +137,9 @@ class Rows:
         self.index = np.array(signals.joints)
         self.count = len(signals.joints)
         self.rms = np.sqrt(np.mean(signals.measured**2, axis=0)) + 1e-9
+        kinds = self.robot.is_prismatic_joint[self.index]
+        self.largest = np.array([self.rms[kinds == kind].max() for kind in kinds])
+        """Largest RMS effort of the joints of the same type, shape (c,)."""
         self._cache: dict[tuple[bytes, int, Window | None], Columns] = {}
 
     def rigid(self, states: tuple[Floats, Floats, Floats], has_gravity: bool) -> Floats:
@@ -181,9 +174,12 @@ class Rows:
         """
         s = self.signals
         columns = body_columns(self.dynamics, (s.q, s.qd, s.qdd), self.bodies)[:, self.index]
-        masses = np.maximum(self.robot.mass[self.bodies], LIGHTEST)
-        size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
-        prior = (SPREAD * masses[:, None] * size).ravel()
+        robot, bodies = self.robot, self.bodies
+        masses = np.maximum(robot.mass[bodies], LIGHTEST)
+        gyration = np.trace(robot.inertia[bodies], axis1=1, axis2=2) / (2.0 * robot.mass[bodies])
+        squares = np.maximum(gyration + np.sum(robot.com[bodies] ** 2, axis=1), SIZE**2)
+        moments = np.column_stack([np.full((len(bodies), 3), SIZE), *6 * [squares]])
+        prior = (SPREAD * masses[:, None] * np.insert(moments, 0, 1.0, axis=1)).ravel()
         efforts = self.rigid((s.q, s.qd, s.qdd), True)
         sizes = np.sqrt(np.mean(efforts**2, axis=0))
         columns = columns * prior / (sizes + SMALL * sizes.max() + 1e-300)[:, None]
@@ -237,11 +233,13 @@ class Rows:
             for link in self.links
         }
         direction = signs * s.direction
+        # The gears carry the weight of the robot even if the measured efforts lack gravity.
+        load = model if has_gravity else self.rigid(states, True) + signs * s.added
         drive = np.stack(
             [
                 states[1][:, index],
                 direction,
-                direction * np.abs(model),
+                direction * np.abs(load),
                 states[2][:, index],
                 np.ones_like(model),
             ],

@@ -29,7 +29,6 @@ from .rows import NEGLIGIBLE, OF_MODEL, OWN, POINT_MASS, Rows, SPREAD, Window
 
 FIRST = 0.5  # missing gravity comes first if it adds this fraction of the evidence
 MOST_FAULTS = 8
-FACTOR_COST = 30.0  # of a common factor that errors of the bodies may cause
 COMMON = 0.08  # smallest deviation of a common factor from 1
 MOST_PUSHED = 0.5  # largest fraction of a recording in which an external force acts
 MOST_OF_ALL = 0.9  # largest fraction of a recording in which a temporary fault acts
@@ -49,9 +48,9 @@ class Search(Regression):
         super().__init__(rows, is_brief)
         self.can_be_late = can_be_late
 
-    def best(self) -> Fit:
-        """Return the best hypothesis that the search finds."""
-        best = self.without_faults()
+    def best(self, start: Fit) -> Fit:
+        """Return the best hypothesis that the search finds, beginning with `without_faults`."""
+        best = start
         for _ in range(MOST_FAULTS):
             trials = []
             for h, cost in self._candidates(best):
@@ -98,7 +97,7 @@ class Search(Regression):
             yield h._replace(other_gravity=OF_MODEL), 2.0
         if not h.load and h.window is None:
             for link in self.rows.links:
-                yield h._replace(load=link), 8.0 if self.is_brief else 12.0
+                yield h._replace(load=link), 4.0 if self.is_brief else 12.0
         if not h.is_tilted and h.window is None and has_gravity:
             yield h._replace(is_tilted=True), 4.0
         if not h.is_late and self.can_be_late and not self.is_brief:
@@ -117,7 +116,7 @@ class Search(Regression):
             yield h._replace(axes=(*h.axes, j)), 16.0
             if precision[j] > CERTAIN**2 and not is_usual(abs(ratios[j])):
                 yield h._replace(factors=(*h.factors, (j, float(ratios[j])))), 12.0
-        yield from self._of_all(h, slopes, precision, free)
+        yield from self._of_all(h, slopes, free)
         if not h.source and n > 1:
             moves = self.rows.signals.moves
             yield from self._orders(best, [j for j in free if moves[j] or self.is_brief])
@@ -130,7 +129,7 @@ class Search(Regression):
         return is_measured and bool(self.rows.dynamics.gravity.any())
 
     def _of_all(
-        self, h: Hypothesis, slopes: Floats, precision: Floats, free: list[int]
+        self, h: Hypothesis, slopes: Floats, free: list[int]
     ) -> Iterator[tuple[Hypothesis, float]]:
         """Yield the hypotheses with other units of all joints."""
         if h.unit > 0.0:
@@ -140,10 +139,8 @@ class Search(Regression):
             return
         sizes = np.log(np.abs(slopes[known]))
         middle = float(np.exp(np.median(sizes)))
-        if is_usual(middle):
-            middle = float(np.exp(np.average(sizes, weights=precision[known])))
         if abs(middle - 1.0) > COMMON and not (self.is_brief and is_usual(middle)):
-            yield h._replace(unit=h.unit * middle), FACTOR_COST if is_usual(middle) else 8.0
+            yield h._replace(unit=h.unit * middle), 4.0 if is_usual(middle) else 8.0
         odd = [j for j in known if not is_usual(abs(slopes[j]) / middle)]
         if len(odd) > 1:
             moving = [j for j in known if self.rows.signals.moves[j]]
