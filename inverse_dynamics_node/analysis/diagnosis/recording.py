@@ -21,7 +21,7 @@ from .search import Search
 from .simple_faults import constant_fault, not_measured, positions_fault
 from .statements import faults_of, is_considerable
 
-SAMPLES = 600  # approximate number of samples that the search uses
+SAMPLES = 1200  # approximate number of samples that the search uses
 MIN_DURATION = 4.0  # [s]; in shorter recordings, a fit may be good by chance
 WIDTH = 0.03  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 LEAST_MOVING = 0.05  # fraction of the samples in which a joint moves, if it moves

@@ -39,7 +39,7 @@ NOISE_FLOOR = 2.0  # RMS residuals below this multiple of the noise need no expl
 SEGMENTS = 40  # for samples that nothing explains
 LOUD = 4.0  # multiple of the median loudness above which segments lose their weight
 CLIP = 25.0  # largest squared residual that counts, in variances
-BODIES_COST = 16.0  # of the fault that several links are wrong
+BODIES_COST = 28.0  # of bodies that are not accurate
 GOOD_BODIES, WIDE_BODIES = 0.2, 6.0  # multiples of the usual spread of the bodies
 SURE_ENOUGH = 2.0  # the same as CERTAIN in brief searches, which may see one pose only
 CERTAIN = 4.0  # a load is reported if its mass exceeds this multiple of its standard error
@@ -150,9 +150,12 @@ class Regression:
         self.segment = np.arange(len(s.times)) * SEGMENTS // max(len(s.times), 1)
 
     def fit(self, h: Hypothesis) -> Fit:
-        """Fit a hypothesis, with the accuracy of the bodies that has the best evidence."""
-        spreads = (WIDE_BODIES,) if h.has_wrong_bodies else (GOOD_BODIES, 1.0)
-        return max((self.fit_with(h, spread) for spread in spreads), key=lambda fit: fit.evidence)
+        """Fit a hypothesis, with accurate bodies unless the efforts clearly show other ones."""
+        fits = [self.fit_with(h, WIDE_BODIES if h.has_wrong_bodies else 1.0)]
+        fits[0] = fits[0]._replace(evidence=fits[0].evidence - BODIES_COST)
+        if not h.has_wrong_bodies:
+            fits.append(self.fit_with(h, GOOD_BODIES))
+        return max(fits, key=lambda fit: fit.evidence)
 
     def with_friction(self, fit: Fit, has_bodies: bool) -> Fit:
         """
@@ -200,6 +203,7 @@ class Regression:
         floor = (FLOOR * rms) ** 2 + (LEAST_FLOOR * rows.largest / factor) ** 2
         variance = (0.3 * rms) ** 2 + noise + floor
         shared = _Shared(h, columns.at, rows.dynamics.gravity, width, bodies)
+        unbounded = spread.copy()
         x, drives = np.zeros(shared.map.shape[1]), np.zeros((c, len(columns.at.drive)))
         for k in range(ROUNDS):
             if k:
@@ -211,6 +215,10 @@ class Regression:
             u[:, columns.at.drive] -= spread * drives
             squares = np.einsum('ci,cij,cj->c', u, G, u)
             variance = np.maximum(squares / counts, noise) + floor
+        drive_errors = spread * solved.drive_errors
+        if has_load_friction is not None:  # friction of zero is not certain
+            certain = _solve(G, goal, shared.map, columns.at.drive, unbounded, variance)[2]
+            drive_errors = unbounded * certain.drive_errors
         residual = (columns.matrix @ (u * lateness)[:, :, None])[..., 0].T
         expected = np.where(pushed, CLIP * variance, variance)
         clipped = np.minimum(residual**2 / expected, CLIP)
@@ -235,7 +243,7 @@ class Regression:
             shared.values(solved.errors),
             shared.gravity,
             spread * drives / columns.sizes,
-            spread * solved.drive_errors / columns.sizes,
+            drive_errors / columns.sizes,
             residual,
             variance,
             rms,
@@ -296,12 +304,7 @@ class Regression:
 
     def has_wrong_bodies(self, fit: Fit) -> bool:
         """Return whether the efforts show that the bodies are not accurate."""
-        if fit.bodies == GOOD_BODIES or self.unexplained(fit).all():
-            return False
-        return (
-            fit.evidence
-            > self.fit_with(fit.hypothesis, GOOD_BODIES).evidence + BODIES_COST + NEEDED
-        )
+        return fit.bodies != GOOD_BODIES and not self.unexplained(fit).all()
 
     def explained(self, fit: Fit, signals: Signals, rotors: Booleans) -> Floats:
         """

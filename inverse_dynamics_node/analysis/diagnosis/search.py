@@ -14,7 +14,6 @@ import numpy as np
 from ...robot.model import Floats, Integers
 from .fault import is_usual
 from .regression import (
-    BODIES_COST,
     CERTAIN,
     CLIP,
     Fit,
@@ -97,13 +96,13 @@ class Search(Regression):
             yield h._replace(other_gravity=OF_MODEL), 2.0
         if not h.load and h.window is None:
             for link in self.rows.links:
-                yield h._replace(load=link), 4.0 if self.is_brief else 12.0
+                yield h._replace(load=link), 8.0 if self.is_brief else 12.0
         if not h.is_tilted and h.window is None and has_gravity:
             yield h._replace(is_tilted=True), 4.0
         if not h.is_late and self.can_be_late and not self.is_brief:
             yield h._replace(is_late=True), 4.0
         if not h.has_wrong_bodies and not self.is_brief:
-            yield h._replace(has_wrong_bodies=True), BODIES_COST
+            yield h._replace(has_wrong_bodies=True), 0.0
         if not h.has_offsets and self.rows.signals.moves.any():
             yield h._replace(has_offsets=True), 4.0
         slopes, precision = self._slopes(best)
@@ -140,7 +139,7 @@ class Search(Regression):
         sizes = np.log(np.abs(slopes[known]))
         middle = float(np.exp(np.median(sizes)))
         if abs(middle - 1.0) > COMMON and not (self.is_brief and is_usual(middle)):
-            yield h._replace(unit=h.unit * middle), 4.0 if is_usual(middle) else 8.0
+            yield h._replace(unit=h.unit * middle), 12.0 if is_usual(middle) else 8.0
         odd = [j for j in known if not is_usual(abs(slopes[j]) / middle)]
         if len(odd) > 1:
             moving = [j for j in known if self.rows.signals.moves[j]]
