@@ -244,7 +244,7 @@ ONE_SPEED = 0.3 * np.abs(T % 4.0 - 2.0), -0.3 * SIGN, 0.0 * T
 @pytest.mark.parametrize('motion', [ONE_WAY, ONE_SPEED], ids=['one direction', 'one speed'])
 def test_friction_is_unknown_for_such_motion(motion):
     result = diagnose_recording(*swinging(*motion))
-    assert 'does not distinguish' in result.joints[0].friction.unknown_because
+    assert 'do not distinguish' in result.joints[0].friction.unknown_because
 
 
 # ---- Imperfect recordings ------------------------------------------------------------------
