@@ -345,10 +345,12 @@ class Promises:
             self.gate_time = max(0.0, self.fall_time - self.fallen) if falls else math.inf
             self.gate_time = min(self.gate_time, self.node.settings.stop_ramp)
             self.gate_fallen = 0.0
+            # The fall of a limit stop goes on as fast as it has begun.
+            self.gate_ramp = min(SHORTEST_RAMP, self.fall_time) if falls else SHORTEST_RAMP
         self.gate_fallen += min(max(0.0, passed), self.base)
         self._check_shrinking(sent, self.last_sent)
         change = np.abs(sent - self.last_sent)
-        bound = 2.0 * self.largest * step / SHORTEST_RAMP + ROUNDING
+        bound = 2.0 * self.largest * step / self.gate_ramp + ROUNDING
         require((change <= bound).all(), 'the fall of a dry run catches up', change, bound)
         is_late = self.gate_fallen > self.gate_time + 2.0 * self.base
         require(not (is_late and sent.any()), 'the fall of a dry run takes too long', sent)
