@@ -34,7 +34,6 @@ CASES = [
     pytest.param(fault, name, marks=[] if (fault in QUICK and name == 'seven_dof') else LONG)
     for fault in confusion.FAULTS
     for name in ('seven_dof', 'Stanford')
-    if (fault, name) != ('all efforts 1.3 times', 'Stanford')  # not named, see the page
 ]
 
 
