@@ -346,7 +346,8 @@ class Promises:
             self.gate_time = min(self.gate_time, self.node.settings.stop_ramp)
             self.gate_fallen = 0.0
             # The fall of a limit stop goes on as fast as it has begun.
-            self.gate_ramp = min(SHORTEST_RAMP, self.fall_time) if falls else SHORTEST_RAMP
+            is_limited = self.node.loop.phase is Phase.LIMIT_STOP
+            self.gate_ramp = LIMIT_RAMP if is_limited else SHORTEST_RAMP
         self.gate_fallen += min(max(0.0, passed), self.base)
         self._check_shrinking(sent, self.last_sent)
         change = np.abs(sent - self.last_sent)
