@@ -6,7 +6,7 @@ from benchmarks.identified_terms import counted
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.identification import DriveTerms, identify_parameters
-from inverse_dynamics_node.analysis.identification.fit import minimise, Prior
+from inverse_dynamics_node.analysis.identification.fit import body_covariance, minimise, Prior
 from inverse_dynamics_node.analysis.identification.regression import (
     ARMATURE,
     COULOMB,
@@ -29,6 +29,7 @@ from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.node.configure import make_loop
 from inverse_dynamics_node.node.parameters import Configuration, PARAMETERS
 from inverse_dynamics_node.report.identification_report import friction_table
+from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -74,29 +75,34 @@ def test_a_mass_that_influences_no_effort_has_a_large_error(stanford):
     assert min(errors) < 0.1
 
 
-def normalized_errors(result, real):
-    """Return the errors of masses, armatures, damping and offsets, in standard errors."""
-    bodies = IdentifiedBodies(result.robot).bodies
-    masses = np.array([body.mass for body in result.bodies]) - real.robot.mass[bodies]
-    found = [masses / [body.mass_error for body in result.bodies]]
-    for name in ('armature', 'damping', 'offset'):
-        terms = [joint.terms for joint in result.joints]
-        known = np.array([name in each.errors for each in terms])
-        errors = np.array([getattr(each, name) for each in terms]) - getattr(real, name)
-        found.append(errors[known] / [each.errors[name] for each in terms if name in each.errors])
-    return np.concatenate(found)
+def normalized_errors(fit, real):
+    """Return the errors of what the efforts determine of the bodies, in standard errors."""
+    problem, count = fit.equations.regression.problem, fit.model.bodies.size
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 60, 6))
+    states *= np.array([np.pi, 3.0, 10.0])[:, None, None]
+    columns = problem.columns(Motion(np.arange(60.0), *states, np.zeros((60, 6)), 1, 4))
+    _, sizes, directions = np.linalg.svd(columns.reshape(-1, count), full_matrices=False)
+    base = directions[sizes > 1e-8 * sizes[0]]
+    bodies = zip(real.robot.mass, real.robot.com, real.robot.inertia, strict=True)
+    true = np.array([RigidBody(*body).parameters() for body in bodies])[problem.identified.bodies]
+    covariance = np.linalg.inv(fit.hessian)[:count, :count]
+    errors = base @ (fit.model.bodies - true).ravel()
+    return errors / np.sqrt(np.einsum('ri,ij,rj->r', base, covariance, base))
 
 
 @pytest.mark.long
-def test_standard_errors_are_honest():
-    robot, z = load_urdf(STANFORD), []
+def test_standard_errors_of_the_bodies_are_honest(monkeypatch):
+    robot, fits, z = load_urdf(STANFORD), [], []
+    name = 'inverse_dynamics_node.analysis.identification.evaluation.body_covariance'
+    monkeypatch.setattr(name, lambda fit: fits.append(fit) or body_covariance(fit))
     for seed in range(6):
         rng = np.random.default_rng(seed)
         real = real_robot(robot, rng)
         recording = record(real, exciting_motion(robot, rng, 12.0, 50.0), rng)
-        z += normalized_errors(identify_parameters(robot, [recording]), real).tolist()
-    assert len(z) > 100
-    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
+        identify_parameters(robot, [recording])
+        z += normalized_errors(fits[-1], real).tolist()
+    assert len(z) > 190
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.3
     assert np.mean(np.abs(z) < 2.0) > 0.9
 
 
