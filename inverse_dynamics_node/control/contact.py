@@ -26,6 +26,7 @@ class ContactDetector:
 
     def __init__(self, m: int) -> None:
         self._since = np.full(m, math.inf)  # time since which each effort is beyond its limit [s]
+        self._last = math.inf  # time of the last efforts [s]
 
     def find(self, time: float, efforts: Floats, limits: Floats) -> int | None:
         """
@@ -36,7 +37,10 @@ class ContactDetector:
 
         """
         size = np.abs(efforts)
-        self._since = np.where(size > limits, np.minimum(self._since, time), math.inf)
+        # After a longer gap, the low-pass has restarted from a single sample.
+        first = self._since if 0.0 <= time - self._last <= _LONGEST_GAP else math.inf
+        self._since = np.where(size > limits, np.minimum(first, time), math.inf)
+        self._last = time
         lasts = time - self._since >= _CONTACT_TIME
         return int(np.argmax(np.where(lasts, size / limits, 0.0))) if lasts.any() else None
 

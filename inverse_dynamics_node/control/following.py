@@ -24,6 +24,7 @@ LONGEST_GAP = 0.2
 """Longest time between joint states that does not end a trajectory [s]."""
 _CHECK_STEP, _MOST_CHECKS = 0.01, 1e5  # [s]; distance and number of the states that are checked
 _AT_REST = 1e-3  # [rad/s or m/s]
+_LEAST_ROOM = 0.1  # of the speed limit, for the way to a plan that nearly reaches this limit
 _AT_THE_END = np.array([[1.0], [0.0], [0.0]])  # of position, velocity and acceleration
 _ROUNDING = 1e-6  # relative or absolute; limits may be exceeded so much
 
@@ -52,6 +53,8 @@ class Plan(NamedTuple):
     """Times of k points since the start of the trajectory, shape (k,) [s]."""
     states: Floats
     """Positions, velocities and accelerations, shape (3, k, j)."""
+    speeds: Floats
+    """Largest speed of each joint, shape (j,) [rad/s or m/s]."""
     accelerations: Floats
     """Largest acceleration of each joint, shape (j,) [rad/s^2 or m/s^2]."""
 
@@ -77,7 +80,7 @@ def plan(trajectory: Trajectory, limits: JointLimits, present: Floats, begin: fl
     fine, points = refine(whole._replace(accelerations=states[2]), step)
     motion = _states(fine)
     _check(motion, points, of_joints, present[0, joints], first=-1 if is_approached else 0)
-    return Plan(joints, times, states, np.abs(motion[2]).max(axis=0))
+    return Plan(joints, times, states, *np.abs(motion[1:]).max(axis=1))
 
 
 def _states(whole: Trajectory) -> Floats:
@@ -146,7 +149,7 @@ def _check(
     complain(is_moving, qd, 'moves at', '/s', '0 at the last point')
 
 
-_REST = Plan([], np.zeros(1), np.zeros((3, 1, 0)), np.zeros(0))
+_REST = Plan([], np.zeros(1), np.zeros((3, 1, 0)), np.zeros(0), np.zeros(0))
 """A plan of no joint, so that all come to rest."""
 
 
@@ -212,7 +215,12 @@ class Following:
         if time > plan.times[-1]:
             raise TrajectoryError(f'the trajectory ended {time - plan.times[-1]:.3g} s ago')
         there = self._after(-time) if self.is_active and time < 0.0 else present
-        distance = np.abs(_at(plan, max(time, 0.0))[0] - there[0, plan.joints])
+        begin = _at(plan, max(time, 0.0))[0]
+        if there is present:  # the arm may have turned since the plan was made
+            turns = np.round((begin - present[0, plan.joints]) / (2.0 * math.pi))
+            turns = np.where(self.limits.is_continuous[plan.joints], turns, 0.0)
+            present[0, plan.joints] += 2.0 * math.pi * turns
+        distance = np.abs(begin - there[0, plan.joints])
         j = int(np.argmax(distance))
         if distance[j] > farthest:
             name, unit = (each[plan.joints[j]] for each in self.limits[:2])
@@ -261,9 +269,11 @@ class Following:
         self._rest = np.stack([ends, 0.0 * ends, 0.0 * ends])
         offset = present - self._rest
         offset[:, plan.joints] -= _at(plan, time)
-        # The way to the plan adds at most half of the speed limit.
-        way = 3.75 * np.abs(offset[0, plan.joints])
-        durations[plan.joints] = np.maximum(_FADE, way / self.limits.speeds[plan.joints])
+        # The way adds at most what the plan leaves of the speed limit, or a tenth of it.
+        way = 1.875 * np.abs(offset[0, plan.joints])
+        limits = self.limits.speeds[plan.joints]
+        room = np.maximum(limits - plan.speeds, _LEAST_ROOM * limits)
+        durations[plan.joints] = np.maximum(_FADE, way / room)
         self._fade, self._durations = quintic(offset, 0.0 * offset, durations), durations
         self.plan, self.next, self.reason, self.state = plan, None, '', present
         self._time, self._passed = time, 0.0

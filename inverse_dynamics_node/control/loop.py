@@ -18,7 +18,7 @@ from .contact import COMPONENTS, ContactDetector, ExternalEffortEstimator, tool_
 from .external_loads import ExternalLoads
 from .following import Following, JointLimits, LONGEST_GAP, Plan
 from .joint_states import Events, JointStateCollector, State
-from .laws import joint_index, Law, LAWS, Reference
+from .laws import HandGuiding, joint_index, Law, LAWS, Reference
 from .motion_limits import Finding, LIMIT_RAMP, MotionLimits
 from .settings import ContactPolicy, MeasuredGravity, Settings, StalePolicy
 from .shaping import CommandShaper, DriveReference, DryRun
@@ -37,6 +37,7 @@ _OF_INPUTS = (
     'limit_margin',
     'limit_stiffness',
 )
+_STATES_LOST = 'joint states were lost'
 _USUAL_DELAY = 0.01  # [s]; of joint states; a shorter delay is not compared with the gains
 
 
@@ -105,6 +106,8 @@ class ControlLoop:
         is_continuous = robot.is_continuous[index]
         self.following = Following(JointLimits(self.joints, tuple(units), is_continuous, *ranges))
         """Leads along trajectories; its references replace others."""
+        self.endings = 0
+        """How often something has ended a reference, or an arm has been stopped or enabled."""
         self._led_at = -math.inf  # time of the joint state of the last reference [s]
         # Efforts that the law added in the last command, without and with the motion limits.
         self._last_added: tuple[Floats | float, Floats | float] = 0.0, 0.0
@@ -168,7 +171,7 @@ class ControlLoop:
 
     def _choose_law(self) -> None:
         """Use the law of the mode; after a contact, one that floats."""
-        kind = Law if self.supervisor.contact else LAWS[self.settings.mode]
+        kind = HandGuiding if self.supervisor.contact else LAWS[self.settings.mode]
         if type(self.law) is not kind:
             self.law = kind(self.dynamics, self.index)
         self.law.apply(self.settings, self.of_joint)
@@ -214,7 +217,7 @@ class ControlLoop:
 
     def follow(self, reference: Reference) -> None:
         """Follow a reference from the next step on, and no trajectory."""
-        self.following.end('another reference has arrived')
+        self._drop_reference('another reference has arrived')
         self.reference = reference
 
     def follow_trajectory(self, plan: Plan, time: float) -> None:
@@ -225,14 +228,17 @@ class ControlLoop:
         TrajectoryError is raised if no trajectory can begin.
 
         """
+        if self.phase not in COMPUTING_PHASES or self.supervisor.contact:
+            raise TrajectoryError(f'no trajectory can begin: {self.phase.value}')
         if not self.law.uses_reference:
             mode = self.settings.mode.value
             raise TrajectoryError(f'the mode is {mode}, in which no trajectory is followed')
-        if self.phase not in COMPUTING_PHASES or self.supervisor.contact:
-            raise TrajectoryError(f'no trajectory can begin: {self.phase.value}')
         farthest = self.settings.max_tracking_error or math.inf
         self.following.start(plan, time, self.present_motion(), farthest)
         self._led_at = self.collector.time
+        last = self.law.followed
+        if last is not None and (last.efforts.any() or last.positions is None):
+            self.blend()  # efforts and feedback of the last reference end
 
     def present_motion(self) -> Floats:
         """
@@ -244,15 +250,19 @@ class ControlLoop:
         """
         reference, following, law = self.reference, self.following, self.law
         q, qd, qdd = self._measured_motion()
-        if self.phase is Phase.RUNNING and reference is not None:
-            qdd = reference.accelerations
-            if following.is_active and law.is_closed:
-                return following.state
-            if law.is_closed and reference.positions is not None:
-                q, qd = reference.positions, 0.0 * q
-                qd = qd if reference.velocities is None else reference.velocities
-        elif law.holds and law.equilibrium is not None:
+        leads = law.is_closed or self.drive.is_leading  # whether positions act on the arm
+        is_running = self.phase is Phase.RUNNING and reference is not None
+        if is_running and following.is_active and leads:
+            state: Floats = following.state.copy()
+            return state
+        if law.holds and law.equilibrium is not None:
             q, qd = law.equilibrium, 0.0 * q
+        if is_running and reference is not None:
+            qdd = reference.accelerations
+            if leads and reference.positions is not None:
+                q, qd = reference.positions, 0.0 * q
+            if leads and reference.velocities is not None:
+                qd = reference.velocities
         return np.array([q, qd, qdd])
 
     def _measured_motion(self) -> Floats:
@@ -262,9 +272,12 @@ class ControlLoop:
     def _drop_reference(self, reason: str) -> None:
         self.following.end(reason)
         self.reference = None
+        self.endings += 1
 
     def resume(self) -> None:
         """End a stop, or what follows a contact; the efforts continue from the last command."""
+        self.endings += 1
+        self._contact = ContactDetector(len(self.index))
         if self.supervisor.limit_stop:
             self.motion_limits.reset()
         if self.supervisor.resume():
@@ -291,6 +304,7 @@ class ControlLoop:
 
     def limit_stop(self, reason: str) -> None:
         """Let the efforts fall to zero at once, and keep them at zero until `resume`."""
+        self.endings += 1
         self.stop_damping.end(reason if self.stop_damping.is_active else '')
         self.supervisor.stop_at_limit(reason)
 
@@ -313,8 +327,12 @@ class ControlLoop:
         if is_wanted:
             dry_run.begin(self.shaper.time_to_fall)
             return True
-        was_stopping, reason = self.supervisor.is_stopping, self.supervisor.limit_stop
+        supervisor = self.supervisor
+        was_stopping, reason = supervisor.is_stopping, supervisor.limit_stop
+        contact = supervisor.contact
         self._restart()
+        supervisor.contact = contact
+        self._choose_law()
         if reason:
             self.limit_stop(reason)
         if was_stopping:
@@ -370,6 +388,7 @@ class ControlLoop:
         self._led_at = self.collector.time
         if gap > LONGEST_GAP:
             reason = f'there was no joint state for {gap:.2g} s'
+            self.blend()
             self.following.hold(self._measured_motion(), reason)
             gap = 0.0
         return self.following.reference(now, gap)
@@ -381,8 +400,11 @@ class ControlLoop:
             assert reference.positions is not None
             self.following.compare(law.distance(law.measured(state), reference.positions))
         elif phase is Phase.STATE_LOST:
-            if now - self.collector.time <= self.settings.state_timeout:  # it ends soon
-                self.following.hold(self._measured_motion(), 'joint states were lost')
+            lost = now - self.collector.time
+            is_new = self.following.reason != _STATES_LOST
+            # It ends soon, or it has lasted so long that the trajectory cannot go on.
+            if lost <= self.settings.state_timeout or (lost > LONGEST_GAP and is_new):
+                self.following.hold(self._measured_motion(), _STATES_LOST)
         else:
             self._drop_reference(self.supervisor.limit_stop or phase.value)
 

@@ -415,6 +415,11 @@ class DriveReference:
         self._positions: Floats = np.zeros(0)
         self._velocities: Floats = np.zeros(0)
 
+    @property
+    def is_leading(self) -> bool:
+        """Whether the drive receives a reference, or a part of it."""
+        return self._weight > 0.0
+
     def reset(self) -> None:
         """Begin anew with the measured motion."""
         self._weight = 0.0

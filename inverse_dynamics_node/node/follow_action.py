@@ -118,6 +118,8 @@ class _TrajectoryAction:
             if goal is self._goal:
                 self._runner.reject(NAME, reason, 'goal')
                 self._end('abort', self._code_of_refusal(goal), str(reason))
+                # The trajectory of the last goal may still be followed, and nobody watches it.
+                self._follower.stop('another goal has arrived, which was refused')
 
         try:
             self._follower.submit(goal.read(), refuse, begin)

@@ -74,7 +74,7 @@ class TrajectoryFollower:
         if len(data) <= _SMALL and not deserialize_trajectory(data).points:
             self.stop('an empty trajectory has arrived')
             return
-        finish = partial(self._begin, loop, self._last, begin)
+        finish = partial(self._begin, loop, (self._last, loop.endings), begin)
         limits, present = loop.following.limits, loop.present_motion()
         self._queue.submit(finish, refuse, plan_message, data, limits, present, self._now())
 
@@ -88,11 +88,12 @@ class TrajectoryFollower:
     def _begin(
         self,
         loop: ControlLoop,
-        number: int,
+        numbers: tuple[int, int],
         begin: Callable[[Plan], None],
         result: tuple[Plan, float],
     ) -> None:
-        if number != self._last or loop is not self._runner.loop or not self._runner.is_active:
+        is_outdated = numbers != (self._last, loop.endings)
+        if is_outdated or loop is not self._runner.loop or not self._runner.is_active:
             raise TrajectoryError('another message or a stop has come before its first point')
         found, stamp = result
         loop.follow_trajectory(found, self._now() - stamp if stamp else 0.0)

@@ -107,3 +107,28 @@ def test_no_trajectory_begins_after_a_contact():
     assert arm.loop.phase is Phase.CONTACT
     with pytest.raises(Exception, match='floating after a contact'):
         arm.loop.follow_trajectory(None, 0.0)
+
+
+def test_a_contact_outlasts_a_dry_run_and_a_new_one_takes_time_again():
+    arm = PushedArm()
+    arm.play(1.0)
+    arm.play(0.5, PUSH)
+    for is_wanted in (True, False):
+        arm.loop.switch_dry_run(is_wanted=is_wanted)
+        arm.play(1.0)
+    assert arm.loop.phase is Phase.CONTACT
+    arm.loop.resume()
+    arm.play(1.0)
+    arm.play(0.1, PUSH)
+    assert arm.loop.phase is Phase.HOLDING
+    arm.play(0.1, PUSH)
+    assert arm.loop.phase is Phase.CONTACT
+
+
+def test_an_arm_that_floats_after_a_contact_is_guided_like_any_other():
+    arm = PushedArm(replace(SETTINGS, guiding_damping=3.0))
+    arm.play(1.0)
+    arm.play(0.5, PUSH)
+    store_state(arm.loop.collector, arm.now, NAMES, Q, np.array([0.1, 0.0]), HOLD)
+    moving = arm.loop.step(arm.now).efforts
+    assert moving - HOLD == pytest.approx([-0.3, 0.0], abs=1e-6)

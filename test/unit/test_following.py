@@ -6,6 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from inverse_dynamics_node import TrajectoryError
 from inverse_dynamics_node.control.following import Following, JointLimits, plan
+from inverse_dynamics_node.control.laws import Reference
 from inverse_dynamics_node.control.settings import Mode
 from inverse_dynamics_node.control.supervisor import Phase
 from inverse_dynamics_node.dynamics.trajectory import Trajectory
@@ -355,3 +356,96 @@ def test_no_trajectory_begins_in_some_modes_and_phases():
     arm.run(0.1)
     with pytest.raises(TrajectoryError, match='no trajectory can begin: stopped'):
         arm.follow([TARGET], [1.0])
+
+
+PUSHED = Q + np.array([0.2, -0.1])
+
+
+@pytest.mark.parametrize(
+    ('settings', 'last'),
+    [
+        ({'mode': Mode.JOINT_IMPEDANCE, 'stiffness': 100.0}, (None, None, None)),
+        ({}, (None, [0.3, -0.2], None)),
+        ({}, (Q, [0.0, 0.0], [3.0, 3.0])),
+        ({'mode': Mode.INVERSE_DYNAMICS}, (None, None, [3.0, 3.0])),
+    ],
+)
+def test_a_trajectory_begins_without_a_step_after_every_reference(settings, last):
+    arm = FollowingArm(is_observed=False, start_ramp=0.5, max_tracking_error=2.0, **settings)
+    positions, velocities, added = (None if each is None else np.array(each) for each in last)
+    efforts = np.zeros(2) if added is None else added
+    for _ in range(200):
+        arm.loop.follow(Reference(np.zeros(2), efforts, arm.now, positions, velocities))
+        arm.q = PUSHED
+        before = arm.move()[-1]
+    arm.follow([TARGET], [2.0])
+    after = arm.move()[-1]
+    assert np.abs(after - before).max() < 0.3
+
+
+def test_the_way_to_a_fast_trajectory_stays_within_the_speed_limits():
+    times = np.linspace(0.0, 6.0, 61)
+    rate = 2.0 * np.pi / 6.0
+    swing = 0.85 / rate * (1.0 - np.cos(rate * times[:, np.newaxis])) * [1.0, 0.0, 0.0]
+    found = plan(made(swing, times=times), LIMITS._replace(speeds=np.ones(3)), AT_ZERO, 1.0)
+    following = Following(LIMITS._replace(speeds=np.ones(3)))
+    behind = AT_ZERO.copy()
+    behind[0, 0] = found.states[0, 10, 0] - 0.2
+    following.start(found, 1.0, behind)
+    speeds = []
+    for _ in range(500):
+        following.reference(0.0, 0.01)
+        speeds.append(np.abs(following.state[1]))
+    assert np.max(speeds) <= 1.12  # the difference in velocity fades too
+
+
+def test_a_drive_with_gains_gets_no_step_when_a_trajectory_is_replaced():
+    arm = FollowingArm(is_observed=False, mode=Mode.INVERSE_DYNAMICS, start_ramp=0.1)
+    arm.follow([TARGET], [1.0])
+    for _ in range(400):
+        arm.q = Q - 0.1
+        arm.move()
+        before = arm.loop.drive_reference()[0]
+    assert np.abs(before - arm.q).min() > 0.05
+    arm.follow([Q], [2.0])
+    arm.move()
+    assert arm.loop.drive_reference()[0] == pytest.approx(before, abs=0.01)
+
+
+def test_a_trajectory_that_is_lost_with_the_joint_states_ends():
+    arm = FollowingArm()
+    arm.follow([TARGET], [3.0])
+    arm.run(0.3)
+    plan_before = arm.loop.following.plan
+    arm.run(1.0, has_states=False)
+    assert arm.phase is Phase.STATE_LOST
+    assert arm.loop.following.plan is not plan_before
+    assert arm.loop.following.reason == 'joint states were lost'
+
+
+def test_each_stop_and_reference_outdates_a_trajectory_that_is_being_read():
+    arm = FollowingArm()
+    for event in (
+        arm.loop.stop,
+        arm.loop.resume,
+        lambda: arm.loop.limit_stop('it burns'),
+        lambda: arm.loop.follow(reference(arm.now, arm.q)),
+        arm.loop.start,
+    ):
+        before = arm.loop.endings
+        event()
+        assert arm.loop.endings > before
+
+
+def test_a_continuous_joint_that_has_wrapped_meanwhile_takes_the_shorter_way():
+    far = np.array([9.0, 2.0, 2.0])
+    limits = LIMITS._replace(is_continuous=far > 2.0, lower=-far, upper=far)
+    at = AT_ZERO.copy()
+    at[0, 0] = 3.1
+    found = plan(made([[3.2, 0.0, 0.0]], times=[2.0]), limits, at)
+    wrapped = at.copy()
+    wrapped[0, 0] -= 2.0 * np.pi
+    following = Following(limits)
+    following.start(found, 0.0, wrapped, 0.5)
+    following.reference(0.0, 0.0)
+    assert following.state[0, 0] == pytest.approx(3.1)
