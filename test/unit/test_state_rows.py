@@ -63,6 +63,8 @@ def test_a_state_without_a_stamp_has_the_time_of_its_arrival():
     assert StateRows(ARM).row(state(ARM, 0, [0.1, 0.2]), 1234.5)[0] == '1234.500000000'
 
 
-@pytest.mark.parametrize('message', [state(['finger'], 6, [0.3]), b'nothing'])
+@pytest.mark.parametrize(
+    'message', [state(['finger'], 6, [0.3]), b'nothing'], ids=['other joint', 'no message']
+)
 def test_other_joints_and_other_messages_are_no_rows(message):
     assert StateRows(ARM).row(message, 0.0) is None
