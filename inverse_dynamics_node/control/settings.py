@@ -65,7 +65,7 @@ class ContactPolicy(enum.Enum):
     """What the arm does after a contact."""
 
     FLOAT = 'float'
-    """Compensate gravity only, until the node is enabled."""
+    """Float as in `Mode.GRAVITY_COMPENSATION`, until the node is enabled."""
     STOP = 'stop'
     """Let the efforts fall to zero, as when the node is disabled."""
 
@@ -218,7 +218,7 @@ class Settings:
     on_contact: ContactPolicy = setting(
         ContactPolicy.FLOAT,
         'What the arm does after a contact',
-        '`float`: compensate gravity only. `stop`: ramp to zero, as `~/enable` with false does',
+        '`float`: as in `gravity_compensation`. `stop`: ramp to zero, as `~/enable` false does',
     )
     reference_timeout: float = setting(
         0.5,
