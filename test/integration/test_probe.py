@@ -98,7 +98,7 @@ def test_wrong_commands_end_the_probe_with_zero_efforts(domain_id, run_node, rob
         if last['verdict'] not in ('stopped', 'wrong scale'):
             verdicts = {'sign': ('joint_1', 'wrong sign'), 'order': ('joint_6', 'wrong joint')}
             assert (last['name'], last['verdict']) == verdicts[fault], result
-            assert fault == 'sign' or last['moved'] == ['joint_1']
+            assert fault == 'sign' or {'joint_1'} <= {*last['moved']} <= {'joint_1', None}
         robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
 
 
