@@ -338,10 +338,14 @@ def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
     # Without diagnostics, nothing old is shown as if it were the present state.
     node.may_end = True
     node.kill()
-    robot.wait_until(lambda: 'NO DIAGNOSTICS' in view.screen, 'end of the node')
-    latest = view.screen.rpartition('/inverse_dynamics')[2]
-    assert 'DRY RUN' not in latest
-    assert 'no reference is used' not in latest
+
+    def shows_nothing_old():
+        # On a busy machine, diagnostics may be late before the node ends.
+        latest = view.screen.rpartition('/inverse_dynamics')[2]
+        is_old = 'DRY RUN' in latest or 'no reference is used' in latest
+        return 'NO DIAGNOSTICS' in view.screen and not is_old
+
+    robot.wait_until(shows_nothing_old, 'end of the node')
     code, took = view.press_ctrl_c(robot)
     assert code == 130
     assert took < SOON
