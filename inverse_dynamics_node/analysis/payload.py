@@ -23,6 +23,7 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, RecordingError
+from ..robot.kinematics import whole_turns
 from ..robot.model import Booleans, Floats, RobotModel
 from ..robot.rigid_body import (
     moved_inside,
@@ -190,8 +191,7 @@ def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, 
     from scipy.spatial import cKDTree
 
     q = empty.q.copy()
-    turns = np.round((np.mean(loaded.q, axis=0) - np.mean(q, axis=0)) / (2.0 * np.pi))
-    q += np.where(robot.is_continuous, 2.0 * np.pi * turns, 0.0)
+    q += whole_turns(np.mean(loaded.q, axis=0) - np.mean(q, axis=0), robot.is_continuous)
     points, others = np.hstack([loaded.q, loaded.qd]), np.hstack([q, empty.qd])
     _, index = cKDTree(others).query(points)
     is_near: Booleans = np.asarray((np.abs(points - others[index]) < NEAR).all(axis=1))

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
+from ..robot.kinematics import whole_turns
 from ..robot.model import Booleans, Floats, RobotModel
 
 LARGEST_MOTION = 0.03
@@ -236,9 +237,7 @@ class Probe:
         q = q.copy()
         if self.start is None:
             self.start = q
-        way = self._dynamics.robot.is_continuous
-        turns = 2.0 * math.pi * np.round((q - self.start) / (2.0 * math.pi))
-        q[way] -= turns[way]
+        q -= whole_turns(q - self.start, self._dynamics.robot.is_continuous)
         self.farthest = np.maximum(self.farthest, np.abs(q - self.start))
         self._stopped = self._stopped or stopped
         net = commands - self._dynamics.gravity_efforts(q)[self._index]

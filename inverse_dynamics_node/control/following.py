@@ -14,6 +14,7 @@ import numpy as np
 
 from ..dynamics.trajectory import complete, evaluate, joint_index, quintic, refine, Trajectory
 from ..errors import TrajectoryError
+from ..robot.kinematics import whole_turns
 from ..robot.model import Booleans, Floats, Integers
 from .laws import Reference
 
@@ -92,15 +93,14 @@ def _with_start(
 ) -> tuple[Trajectory, bool]:
     """Return the complete trajectory from ``begin`` on, and whether a point was added to it."""
     whole, _ = complete(trajectory)  # also checks the trajectory
-    turns = np.round((present[0] - whole.positions[0]) / (2.0 * math.pi))
-    shift = 2.0 * math.pi * np.where(limits.is_continuous, turns, 0.0)
+    shift = whole_turns(present[0] - whole.positions[0], limits.is_continuous)
     given: list[Floats | None] = [trajectory.positions + shift, *trajectory[3:]]
     whole = whole._replace(positions=whole.positions + shift)
     wait = float(whole.times[0]) - begin
     if wait <= 0.0:
         return whole, False
     start = present
-    if wait < _APPROACH:  # there is no time for a detour
+    if wait < _APPROACH:  # too short for the way from the present reference
         q, qd, qdd = _states(whole)
         given, start = [q, qd, qdd], np.array([q[0] - wait * qd[0], qd[0], 0.0 * qdd[0]])
     rows: Any = (
@@ -214,12 +214,14 @@ class Following:
         """
         if time > plan.times[-1]:
             raise TrajectoryError(f'the trajectory ended {time - plan.times[-1]:.3g} s ago')
-        there = self._after(-time) if self.is_active and time < 0.0 else present
         begin = _at(plan, max(time, 0.0))[0]
-        if there is present:  # the arm may have turned since the plan was made
-            turns = np.round((begin - present[0, plan.joints]) / (2.0 * math.pi))
-            turns = np.where(self.limits.is_continuous[plan.joints], turns, 0.0)
-            present[0, plan.joints] += 2.0 * math.pi * turns
+        if self.is_active and time < 0.0:
+            there = self._after(-time)
+        else:
+            # The arm may have turned since the plan was made.
+            there = present = present.copy()
+            way = begin - present[0, plan.joints]
+            present[0, plan.joints] += whole_turns(way, self.limits.is_continuous[plan.joints])
         distance = np.abs(begin - there[0, plan.joints])
         j = int(np.argmax(distance))
         if distance[j] > farthest:
@@ -236,7 +238,7 @@ class Following:
         self.next, self._wait = plan, -time
 
     def end(self, reason: str) -> None:
-        """Generate no more references."""
+        """Stop generating references."""
         if self.is_active:
             self.plan = self.next = None
             self.reason = reason

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
+from ..robot.kinematics import whole_turns
 from ..robot.model import Booleans, Floats, RobotModel
 from .filters import LowPass
 from .joint_states import LATE_AFTER, State
@@ -140,8 +140,7 @@ class Law:
         """Return target minus start, shape (m,); continuous joints take the shorter way."""
         way: Floats = target - start
         if self._has_turns:
-            turns = 2.0 * math.pi * np.round(way / (2.0 * math.pi))
-            way = np.where(self._is_continuous, way - turns, way)
+            way = way - whole_turns(way, self._is_continuous)
         return way
 
     def _smooth(self, now: float, state: State) -> Floats:

@@ -8,13 +8,19 @@ import re
 
 import numpy as np
 
-from .model import Floats, RobotModel
+from .model import Booleans, Floats, RobotModel
 
 _FINGER = re.compile('finger|thumb|gripper|knuckle|jaw|claw', re.IGNORECASE)
 _TOOL = re.compile('tool|tcp|gripper|hand|flange|eef|effector|(^|_)ee($|_)', re.IGNORECASE)
 _SENSOR = re.compile('camera|optical|imu|lidar|laser|sensor|depth', re.IGNORECASE)
 _FINGER_FRACTION = 0.3
 """A branch shorter than this fraction of the whole chain is a finger."""
+
+
+def whole_turns(way: Floats, is_continuous: Booleans) -> Floats:
+    """Return the whole turns in ways of joints [rad]; 0 for joints that are not continuous."""
+    turns: Floats = np.where(is_continuous, 2.0 * math.pi * np.round(way / (2.0 * math.pi)), 0.0)
+    return turns
 
 
 def path_to(robot: RobotModel, body: int) -> list[int]:
