@@ -253,8 +253,7 @@ class ControlLoop:
         leads = law.is_closed or self.drive.is_leading  # whether positions act on the arm
         is_running = self.phase is Phase.RUNNING and reference is not None
         if is_running and following.is_active and leads:
-            state: Floats = following.state.copy()
-            return state
+            return following.state
         if law.holds and law.equilibrium is not None:
             q, qd = law.equilibrium, 0.0 * q
         if is_running and reference is not None:
@@ -287,14 +286,15 @@ class ControlLoop:
     def start(self, *, is_dry_run: bool = False) -> None:
         """Start with zero efforts and without a reference; wait for a fresh joint state."""
         self.dry_run = DryRun(is_active=is_dry_run)
+        self.supervisor.resume()
+        self._choose_law()
         self._restart()
 
     def _restart(self) -> None:
+        """Begin anew with zero efforts; a stop, and what follows a contact, go on."""
         self._drop_reference('the node was started anew')
         self._last_added = 0.0, 0.0
         self.motion_problem = '', -math.inf
-        self.supervisor.resume()
-        self._choose_law()
         self.supervisor.phase = Phase.WAITING
         self.stop_damping.end()
         self.law.reset()
@@ -327,16 +327,7 @@ class ControlLoop:
         if is_wanted:
             dry_run.begin(self.shaper.time_to_fall)
             return True
-        supervisor = self.supervisor
-        was_stopping, reason = supervisor.is_stopping, supervisor.limit_stop
-        contact = supervisor.contact
         self._restart()
-        supervisor.contact = contact
-        self._choose_law()
-        if reason:
-            self.limit_stop(reason)
-        if was_stopping:
-            self.stop()
         dry_run.end()
         return True
 
