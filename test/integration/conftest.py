@@ -23,8 +23,9 @@ from fork_server import MAIN, SERVER
 from late_compilation import REPORT
 from node_process import NodeProcess, PATIENCE, RUNNING
 from rclpy.context import Context
-from robot_side import RobotSide
+from robot_side import LATCHED, RobotSide
 from stalls import StalledMachineError, StallMeter, TOLERATED
+from std_msgs.msg import Bool
 
 _ROBOTS = []  # of the test
 # In turn, and in another order in each process: a domain that was used a moment ago may still have
@@ -154,3 +155,19 @@ def wait_for_status(robot):
         return found
 
     return wait
+
+
+@pytest.fixture
+def drive_arm(run_node, run_program, robot):
+    """Return a function that starts a simulated arm, and a node that drives it."""
+
+    def drive(urdf, commands='inverse_dynamics/commands', **parameters):
+        held = []
+        robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
+        arguments = '--ros-args', '-r', f'commands:={commands}'
+        run_program('-m', 'inverse_dynamics_node.cli.main', 'simulate', urdf, *arguments)
+        node = run_node(robot_description_file=str(urdf), **parameters)
+        robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+        return node
+
+    return drive

@@ -8,15 +8,12 @@ from inverse_dynamics_node.cli.main import main
 import numpy as np
 import pytest
 from robot_files import ROOT
-from robot_side import LATCHED
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
 
 pytest.importorskip('mujoco')
 
 ARM = ROOT / 'test/robots/seven_dof.urdf'
 CLI = '-m', 'inverse_dynamics_node.cli.main'
-SIMULATE = *CLI, 'simulate', ARM, '--ros-args', '-r', 'commands:=inverse_dynamics/commands'
 NAMES = list(load_urdf(ARM).joint_names)
 MOVING = [NAMES[3], NAMES[5]]
 INDEX = [3, 5]
@@ -27,19 +24,11 @@ pytestmark = pytest.mark.real_time
 class Campaign:
     """The command beside a simulated arm and a node that drives it."""
 
-    def __init__(self, run_node, run_program, robot, folder):
+    def __init__(self, drive_arm, run_program, robot, folder):
         self.robot, self.path = robot, folder / 'motion.csv'
-        held, self.states = [], robot.listen(JointState, 'joint_states')
-        robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
-        run_program(*SIMULATE)
-        run_node(
-            robot_description_file=str(ARM),
-            mode='computed_torque',
-            reference_timeout=0.1,
-            state_timeout=1.0,
-            start_ramp=0.1,
-        )
-        robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+        self.states = robot.listen(JointState, 'joint_states')
+        settings = {'reference_timeout': 0.1, 'state_timeout': 1.0, 'start_ramp': 0.1}
+        drive_arm(ARM, mode='computed_torque', **settings)
         self.start = self.positions()
         options = '--run', '--floor', 'none', '--duration', '2', '--joints', *MOVING
         output = '--trajectory-out', folder / 'motion.yaml'
@@ -58,8 +47,8 @@ class Campaign:
 
 
 @pytest.fixture
-def campaign(run_node, run_program, robot, tmp_path):
-    return Campaign(run_node, run_program, robot, tmp_path)
+def campaign(drive_arm, run_program, robot, tmp_path):
+    return Campaign(drive_arm, run_program, robot, tmp_path)
 
 
 def test_ctrl_c_holds_the_arm_and_keeps_what_was_recorded(campaign):

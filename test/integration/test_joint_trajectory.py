@@ -8,15 +8,12 @@ from inverse_dynamics_node import load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT
-from robot_side import HOLD, LATCHED, NAMES, PATIENT, Q, ZERO
+from robot_side import HOLD, NAMES, PATIENT, Q, ZERO
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
 from test_worker import children
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 ARM = ROOT / 'test/robots/seven_dof.urdf'
-SIMULATE = ['-m', 'inverse_dynamics_node.cli.main', 'simulate', ARM, '--ros-args']
-SIMULATE += ['-r', 'commands:=inverse_dynamics/commands']
 JOINTS = list(load_urdf(ARM).joint_names)
 TOPIC = 'inverse_dynamics/joint_trajectory'
 CLOSE = 2e-3  # [rad]
@@ -34,21 +31,11 @@ def trajectory(positions, seconds, joints=JOINTS, stamp=None):
 
 
 @pytest.mark.real_time
-def test_a_trajectory_is_followed_replaced_in_motion_and_held(
-    run_node, run_program, robot, wait_for_status
-):
+def test_a_trajectory_is_followed_replaced_in_motion_and_held(drive_arm, robot, wait_for_status):
     pytest.importorskip('mujoco')
-    held, states = [], robot.listen(JointState, 'joint_states')
-    robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
-    run_program(*SIMULATE)
-    node = run_node(
-        robot_description_file=str(ARM),
-        mode='computed_torque',
-        reference_timeout=0.1,
-        state_timeout=1.0,
-        start_ramp=0.1,
-    )
-    robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+    states = robot.listen(JointState, 'joint_states')
+    settings = {'reference_timeout': 0.1, 'state_timeout': 1.0, 'start_ramp': 0.1}
+    node = drive_arm(ARM, mode='computed_torque', **settings)
 
     def positions():
         return np.array([states[-1].position[states[-1].name.index(name)] for name in JOINTS])

@@ -5,9 +5,9 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT
-from robot_side import LATCHED, ZERO
+from robot_side import ZERO
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from test_soft_stop import run_moving_arm
 
@@ -89,16 +89,13 @@ def test_wrong_commands_stop_the_arm(run_program, run_node, robot, fault):
     robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
 
 
-def test_damping_that_drives_the_base_yaw_is_stopped(run_program, run_node, robot):
+def test_damping_that_drives_the_base_yaw_is_stopped(drive_arm, robot):
     """The yaw carries no weight, so that a wrong sign shows only in motion."""
     pytest.importorskip('mujoco')
     relay_commands(robot, JOINTS[0])
-    held, states = [], robot.listen(JointState, 'joint_states')
-    robot.node.create_subscription(Bool, 'brakes', held.append, LATCHED)
+    states = robot.listen(JointState, 'joint_states')
     parameters = {'start_ramp': 0.1, 'state_timeout': 0.5, 'stop_damping': 50.0}
-    run_program(*SIMULATE)
-    node = run_node(robot_description_file=str(ARM), **parameters)
-    robot.wait_until(lambda: held and not held[-1].data, 'an arm that follows the commands')
+    node = drive_arm(ARM, 'relay/commands', **parameters)
     assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
     robot.wait_for_text(node, ': stopped: ')
     robot.wait_until(lambda: not np.any(robot.commands[-1]), 'zeros')
