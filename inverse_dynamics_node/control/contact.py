@@ -14,7 +14,7 @@ CUTOFF = 10.0
 """Cutoff of the low-pass for external efforts [Hz]."""
 LEAST_LEVER = 0.05
 """Change of the joint efforts per force [m] below which a direction of the wrench is damped."""
-_LENGTH = 0.3  # [m]; a moment of 0.3 N m counts as much as a force of 1 N
+_LENGTH = 0.3  # [m]; weighs moments: 0.3 N m is equivalent to 1 N
 _SHOWN = 0.95  # share of a component that the efforts must show
 COMPONENTS = ('force x', 'force y', 'force z', 'moment x', 'moment y', 'moment z')
 _CONTACT_TIME = 0.15  # [s]; shorter external efforts are no contact

@@ -452,7 +452,7 @@ def test_a_description_after_a_shutdown_is_ignored(run_node, robot):
 
 
 def test_topics_are_those_of_the_documentation(run_node, robot):
-    """Names, types and quality of service, except for the depth, which no middleware tells."""
+    """Names, types and quality of service; the middleware does not report the depth."""
     node = run_node(**PATIENT)
     robot.wait_for_text(node, 'no command yet')
     robot.wait_until(lambda: 'inverse_dynamics' in robot.node.get_node_names(), 'discovery')

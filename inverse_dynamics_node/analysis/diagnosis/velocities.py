@@ -39,8 +39,8 @@ def check_velocities(names: Sequence[str], times: Floats, q: Floats, qd: Floats)
     """
     Compare the velocities of m joints with the positions, both of shape (k, m).
 
-    Velocities that are NaN were not measured. The joints then count as compared, because there is
-    nothing to compare.
+    Velocities that are NaN were not measured. Such a joint is returned as compared, because it has
+    no velocities that could be wrong.
     """
     compared = np.zeros(len(names), dtype=bool)
     factors: dict[str, float] = {}
